@@ -69,7 +69,9 @@ class HowToRun(OfTheBag):
         None, help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag."
     )
     trajectory_frame: str | None = option(
-        None, metavar="FRAME", help="The frame that --trajectory holds poses of.  [default: the one that the clouds fit]"
+        None,
+        metavar="FRAME",
+        help="The frame that --trajectory holds poses of.  [default: the one that the clouds fit]",
     )
     mount: Literal["refine", "as-given"] = option(
         "refine",

@@ -64,8 +64,8 @@ def refine_mount(
     """The mount near the given one (4, 4) at which the scans lie best on the patches; None where too little of them does.
 
     patches: what the horizontal lidar saw, in the trajectory's frame. trajectory: of the base; an error of its poses moves what
-    both lidars see alike. scans: of the vertical lidar. agree_m: RMS of the distances up to which the given one is kept, with
-    unknown (NaN) `sigma`.
+    both lidars see alike. scans: of the vertical lidar. agree_m: RMS of the distances up to which the
+    given one is kept, with unknown (NaN) `sigma`.
     """
     points_base, stamp_ns = _returns(scans, T_base_sensor, returns_max)
     if len(patches.centre) < _RETURNS_MIN or len(points_base) < _RETURNS_MIN:
@@ -111,13 +111,18 @@ def refine_mount(
 
 
 def surfaces_rms_m(
-    patches: Patches, trajectory: Trajectory, scans: Sequence[Scan], T_base_sensor: FloatArray, returns_max: int
+    patches: Patches,
+    trajectory: Trajectory,
+    scans: Sequence[Scan],
+    T_base_sensor: FloatArray,
+    returns_max: int,
 ) -> float:
-    """RMS distance (m) of the scans' returns from the patches, as `Mount.rms_before_m`; NaN where they do not meet."""
+    """RMS distance (m) of the scans' returns from the patches, as `rms_before_m`; NaN: they do not meet."""
     if not len(patches.centre):
         return float("nan")
     moving = _Moving.of(*_returns(scans, T_base_sensor, returns_max), trajectory)
-    return _rms(moving.distances(np.zeros(7), *_match(moving, patches, cKDTree(patches.centre), REACH_M)))
+    matched = _match(moving, patches, cKDTree(patches.centre), REACH_M)
+    return _rms(moving.distances(np.zeros(7), *matched))
 
 
 def _moved(x: FloatArray) -> FloatArray:

@@ -96,7 +96,8 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
     scan = within_range(scan, settings.scan.range_max_m)
     options = run.part("options")
-    given = given_poses(options.get("trajectory"), inputs, settings, options.get("trajectory_frame"))
+    frame = options.get("trajectory_frame")
+    given = given_poses(options.get("trajectory"), inputs, settings, frame)
     poses = poses_of(inputs, given, settings)
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():

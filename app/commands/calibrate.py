@@ -63,15 +63,17 @@ def calibrate(
         odometry = drive_alone(inputs, horizontal, settings, seconds, progress)
         if from_motion:
             seen = map_of(inputs, odometry, settings, _SCANS)
-            motions = [mount_by_motion(inputs, s, odometry, seen, settings, seconds, progress) for s in inputs.others]
-            for unknown in motions:
-                if isinstance(unknown, str):
-                    raise InputError(f"{bag}: {unknown}")
-            inputs = inputs.with_mounts(found for found in motions if not isinstance(found, str))
+            motions = []
+            for sensor in inputs.others:
+                found = mount_by_motion(inputs, sensor, odometry, seen, settings, seconds, progress)
+                if isinstance(found, str):
+                    raise InputError(f"{bag}: {found}")
+                motions.append(found)
+            inputs = inputs.with_mounts(motions)
         progress.stage("mount", None)
         checked = check_mounts(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else []
-        found = {mount.topic for mount in checked}
-        if unseen := [sensor.lidar.topic for sensor in inputs.others if sensor.lidar.topic not in found]:
+        placed = {mount.topic for mount in checked}
+        if unseen := [sensor.lidar.topic for sensor in inputs.others if sensor.lidar.topic not in placed]:
             raise InputError(
                 f"{bag}: {horizontal.lidar.topic} and {unseen[0]} see too little in common; drive between walls, "
                 "and start from a mount that is off by less than about 20 deg and half a metre"

@@ -1,4 +1,4 @@
-"""Check the extrinsics and the clock of the vertical lidars by the surfaces that the horizontal lidar sees too."""
+"""Check the extrinsics of vertical lidars by the surfaces that the horizontal lidar sees too."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,10 +27,11 @@ _MAPPED, _LAID, _RETURNS = 16, 20, 10_000
 _MAP_POINTS = 12_000
 """Maximum number of returns of one scan in the map."""
 _REFINED_DEG, _REFINED_M = 5.0, 0.1
-"""Maximum change by a refinement. A mount that is farther off may settle on the next wall. A clock may be off by any time."""
+"""Maximum change by a refinement: extrinsics that are farther off may settle on the next wall. The
+clock may be off by any time."""
 _NOISE_MAX = 1.5
-"""Maximum distance between the surfaces of both lidars after a refinement, as a multiple of the horizontal lidar's own. Refined
-mounts have 1.05 to 1.15; mounts that settled on other surfaces 2.2 and 3.4."""
+"""Maximum distance between both lidars' surfaces after a refinement, as a multiple of the distance
+between the horizontal lidar's own. Right extrinsics have 1.05 to 1.15, those of other walls 2 to 4."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,8 @@ class CheckedMount:
     """What a drive shows of a vertical lidar's mount, and what it is off by where that is certain.
 
     topic: the lidar's. alone: whether it is the only one whose mount matters. change: (7,) what was found less what was given, as
-    of `Mount.change`. clock_given_ns: what was added to its times already. own_rms_m: RMS distance (m) of the horizontal lidar's
-    returns from the surfaces of its other scans.
+    of `Mount.change`. clock_given_ns: what was added to its times already. own_rms_m: RMS distance (m) of
+    the horizontal lidar's returns from the surfaces of its other scans.
     """
 
     topic: str
@@ -82,14 +83,15 @@ class CheckedMount:
     def record(self) -> dict[str, Any]:
         """As it stands in run.json."""
         found, used = self.found, "refined" if self.is_off else "as given"
-        told = {"off_deg": self.off_deg, "off_m": self.off_m, "clock_s": found.clock_s}
-        told |= {"rms_as_given_m": found.rms_before_m, "rms_refined_m": found.rms_after_m}
-        told |= {"rms_horizontal_m": self.own_rms_m}
-        record: dict[str, Any] = {"used": used, **{name: round(value, 6) for name, value in told.items()}}
-        if not np.isfinite(found.sigma).all():
-            return record
-        sigma = {"rotation_deg": np.degrees(found.sigma[:3]), "shift_m": found.sigma[3:6], "clock_s": found.sigma[6:]}
-        record["sigma"] = {name: [round(float(v), 6) for v in values] for name, values in sigma.items()}
+        told = {"rms_as_given_m": found.rms_before_m, "rms_horizontal_m": self.own_rms_m}
+        if refined := bool(np.isfinite(found.sigma).all()):
+            told |= {"rms_refined_m": found.rms_after_m, "clock_s": found.clock_s}
+            told |= {"off_deg": self.off_deg, "off_m": self.off_m}
+        record: dict[str, Any] = {"used": used} | {name: round(v, 6) for name, v in told.items()}
+        if refined:
+            angles, shifts, clock = np.degrees(found.sigma[:3]), found.sigma[3:6], found.sigma[6:]
+            sigma = {"rotation_deg": angles, "shift_m": shifts, "clock_s": clock}
+            record["sigma"] = {name: v.round(6).tolist() for name, v in sigma.items()}
         if self.is_off:
             record |= {"T_base_sensor": found.T_base_sensor.tolist(), "clock_ns": self.correction.clock_ns}
         return record
@@ -119,22 +121,25 @@ def check_mounts(
 
     odometry: T_odom_base.
     mapped, laid: number of the horizontal lidar's scans that make the patches, and of a vertical one's that are laid on them;
-    returns: of those, at most. keep_agreeing: whether a mount at which the surfaces agree to the noise is not refined.
+    returns: of those, at most. keep_agreeing: whether a mount is not refined at which surfaces agree.
     """
     if inputs.horizontal is None or not inputs.others:
         return []
     patches = Patches.of(map_of(inputs, odometry, settings, mapped), cube_m=0.1, neighbours=16)
     # Those between the scans that made the patches.
-    own, T = scans_of(inputs, inputs.horizontal, odometry, settings, 2 * mapped - 1)[1::2], inputs.horizontal.lidar.T_base_sensor
-    own_rms_m = surfaces_rms_m(patches, odometry, own, T, returns)
+    own = scans_of(inputs, inputs.horizontal, odometry, settings, 2 * mapped - 1)[1::2]
+    T_base_own = inputs.horizontal.lidar.T_base_sensor
+    own_rms_m = surfaces_rms_m(patches, odometry, own, T_base_own, returns)
     checked = []
     for sensor in inputs.others:
-        scans, T_given = scans_of(inputs, sensor, odometry, settings, laid), sensor.lidar.T_base_sensor
+        scans = scans_of(inputs, sensor, odometry, settings, laid)
+        topic, T_given = sensor.lidar.topic, sensor.lidar.T_base_sensor
         agree_m = _BETTER * own_rms_m if keep_agreeing else 0.0
         if found := refine_mount(patches, odometry, scans, T_given, returns, agree_m):
             alone, clock_ns = len(inputs.others) == 1, sensor.lidar.decoding.clock_ns
             change = found.change(T_given)
-            checked.append(CheckedMount(sensor.lidar.topic, alone, found, change, clock_ns, _is_off(found, change), own_rms_m))
+            off = _is_off(found, change)
+            checked.append(CheckedMount(topic, alone, found, change, clock_ns, off, own_rms_m))
     return checked
 
 
@@ -163,7 +168,7 @@ def laid_out(scans: Sequence[Scan], odometry: Trajectory, T_base_sensor: FloatAr
 def scans_of(
     inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, count: int, together: int = 1
 ) -> list[Scan]:
-    """Some of a lidar's scans, at most `count` times `together` successive ones, spread over the time of the poses."""
+    """Some of a lidar's scans: `count` times `together` successive ones, over the time of the poses."""
     covered = np.flatnonzero(odometry.covers(sensor.index.stamp_ns, margin_ns=-100_000_000))
     last = max(len(covered) - together, 0)
     chosen = covered[np.unique(np.linspace(0, last, min(count, len(covered))).astype(int))]

@@ -32,7 +32,7 @@ _FLOOR_OFF_M = 0.1
 """Distance in metres of the floor from the height 0 of such poses beyond which the steps after this one would not find it."""
 _LEAN_MAX_DEG = 30.0
 _LEVEL_DEG = 1.0
-"""Angle between the z axis of poses that are a sensor's and the upright beyond which their own axes are that sensor's too."""
+"""Angle from the upright of the z axis of a sensor's poses beyond which their axes are the sensor's too."""
 _JUMP_M, _SPEED_MAX_M_S = 10.0, 100.0
 """Distance in metres and speed of a step between poses beyond which they are of another frame, or not in metres."""
 _GAP_S = 1.0
@@ -94,8 +94,9 @@ class KnownPoses:
 class GivenPoses:
     """Poses from outside, as a run uses them: those of the bag's time, in a map whose origin is near them, on the floor.
 
-    trajectory: T_map_base. frame: that the given poses are of. origin_m: (3,) where the map's origin lies in the poses' own
-    frame, whose axes the map keeps if they are upright; zeros where that frame's own origin will do. warnings: what a user must know of that.
+    trajectory: T_map_base. frame: that the given poses are of. origin_m: (3,) where the map's origin
+    lies in the poses' own frame; zeros where that frame's own origin will do. warnings: what a user
+    must know of that. The map keeps the axes of the poses where their z axis is upright.
     """
 
     trajectory: Trajectory

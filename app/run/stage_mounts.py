@@ -1,4 +1,4 @@
-"""What a run does before its stages: check the extrinsics of the vertical lidars, which poses and labels depend on."""
+"""Before the stages of a run: check the extrinsics of the vertical lidars by the first seconds."""
 
 from dataclasses import replace
 
@@ -18,19 +18,19 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.rig import MountCorrection
 
 _FIRST_S, _LONG_S = 8.0, 60.0
-"""Duration of the drive that shows a mount to be off, and of the drive by which it is refined: shift and clock are told apart by
-turns. After 25 s of a straight way a clock was known to 15 ms, after the turn that followed to 4."""
+"""Duration (s) that shows extrinsics to be off, and by which they are refined. Only turns separate a
+shift from a clock: after 25 s of a straight way a clock was known to 15 ms, after a turn to 4."""
 _TO_REFINE = 80, 80, 40_000
-"""Scans of either lidar, and returns, by which a mount is refined; fewer show that it is off."""
+"""Scans of either lidar, and returns, by which extrinsics are refined; fewer show them to be off."""
 _SCANS = 200
 """Number of scans of each lidar that a mount is searched with."""
 _HITS_MIN, _RIVAL_MAX = 0.3, 0.9
-"""Share of a lidar's returns that have to meet the other's for its mount to be found by them, and what any other mount may have of
-that."""
+"""Minimum share of a lidar's returns that meet the other's where its mount is found by them, and maximum
+ratio to that of any other mount's share."""
 
 
 def settle_mounts(run: Run) -> Run:
-    """Return the run with refined extrinsics where the given ones are off, and record what was found.
+    """Return the run with refined extrinsics where the given ones are off; record what was found.
 
     Raises InputError where extrinsics are off by more than a refinement can mend.
     """
@@ -79,16 +79,17 @@ def _refusal(run: Run, mount: CheckedMount, odometry: Trajectory) -> str:
         needed = f"; about x, y, z = {shift} m and roll, pitch, yaw = {turn} deg would fit"
     apart_cm, noise_cm = 100 * mount.found.rms_before_m, 100 * mount.own_rms_m
     return (
-        f"{bag}: the transform {parent} -> {child} is wrong: surfaces that {mount.topic} and the horizontal lidar see are "
-        f"{apart_cm:.1f} cm apart (noise: {noise_cm:.1f}){needed}. Run 'ffmap calibrate {bag.words} --from-motion --out "
-        f"rig.toml', then 'ffmap run {bag.words} --rig rig.toml'; --mount as-given uses it all the same"
+        f"{bag}: the transform {parent} -> {child} is wrong: surfaces that {mount.topic} and the "
+        f"horizontal lidar see are {apart_cm:.1f} cm apart (noise: {noise_cm:.1f} cm){needed}. Run "
+        f"'ffmap calibrate {bag.words} --from-motion --out rig.toml', then 'ffmap run {bag.words} "
+        "--rig rig.toml'; --mount as-given uses it all the same"
     )
 
 
 def drive_alone(
     inputs: Inputs, sensor: Sensor, settings: Settings, seconds: float, progress: Progress
 ) -> Trajectory:
-    """T_odom_base of the first seconds of the drive by one lidar, loops closed: extrinsics that are off would bend the poses."""
+    """T_odom_base of the first seconds by one lidar, loops closed, whatever the others' extrinsics are."""
     sensor = replace(
         sensor, index=sensor.index.until(int(sensor.index.stamp_ns[0] + 1e9 * seconds))
     )
@@ -109,7 +110,7 @@ def mount_by_motion(
     seconds: float,
     progress: Progress,
 ) -> MountCorrection | str:
-    """About where a vertical lidar sits, by its own turns and by what it sees; in words what to do where they do not tell.
+    """Find about where a lidar sits by its turns and what it sees; why not, and a fix, where it cannot.
 
     odometry, seen: T_odom_base by the horizontal lidar, and what it saw (n, 3) in that frame.
     """
@@ -118,8 +119,8 @@ def mount_by_motion(
     aligned = turns_aligned(odometry, drive_alone(inputs, alone, settings, seconds, progress))
     if aligned is None:
         return (
-            f"the robot turns too little to tell where {topic} sits; drive a bend or turn on the spot, or say "
-            "about where it sits in --rig FILE"
+            f"the robot turns too little to tell where {topic} sits; drive a bend or turn on the "
+            "spot, or say about where it sits in --rig FILE"
         )
     progress.stage(f"mount of {topic}", None)
     found = find_mount(
@@ -136,6 +137,6 @@ def mount_by_motion(
             topic, tuple(map(tuple, found.T_base_sensor.tolist())), sensor.lidar.decoding.clock_ns
         )
     return (
-        f"what the lidars see does not tell where {topic} sits ({told}); drive into another room and turn "
-        "there, or say about where it sits in --rig FILE"
+        f"what the lidars see does not tell where {topic} sits ({told}); drive into another room "
+        "and turn there, or say about where it sits in --rig FILE"
     )

@@ -147,7 +147,8 @@ def _options(arguments: Arguments) -> RunOptions:
 def _find(arguments: Arguments, bag: BagPath, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
     """The bag's lidars, and the poses that were given, if any."""
     inputs = find_inputs(bag, arguments.bag_options)
-    given = given_poses(arguments.trajectory, inputs, settings, arguments.trajectory_frame)
+    frame = arguments.trajectory_frame
+    given = given_poses(arguments.trajectory, inputs, settings, frame)
     if given is None:
         check_lidars_meet(inputs)
         return inputs, None

@@ -1,4 +1,4 @@
-"""Find the frame whose poses a given trajectory holds, by the surfaces that a lidar sees at different times."""
+"""Find the frame of a given trajectory by the surfaces that a lidar sees at different times."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 
 _SCANS, _RETURNS = 31, 10_000
-"""Number of scans spread over the drive, every second of which makes the patches, and of returns."""
+"""Number of scans over the whole drive, every second of which makes the patches; of returns."""
 _WINDOWS, _IN_A_WINDOW = 4, 4
 """Number of short times, and of successive scans in each, that show the noise."""
 _BETTER = 1.15
@@ -38,8 +38,8 @@ _T_FRAME_CAMERA = np.array(
 class PoseFrame:
     """The frame that poses are of.
 
-    T_frame_base: (4, 4). rms_m, as_base_m: RMS distance (m) between surfaces seen at different times, by this frame and by the
-    base. noise_m: the same of successive scans. NaN where the scans do not show it.
+    T_frame_base: (4, 4). rms_m, as_base_m: RMS distance (m) between surfaces seen at different
+    times, by this frame and by the base. noise_m: the same of successive scans. NaN: unknown.
     """
 
     name: str
@@ -53,14 +53,15 @@ class PoseFrame:
         warnings = []
         if self.rms_m < self.as_base_m:
             warnings.append(
-                f"{given} holds poses of {self.name}, not of {base}: surfaces that were seen at different times are "
-                f"{100 * self.rms_m:.1f} cm apart by it and {100 * self.as_base_m:.1f} cm by {base}; it is used, "
-                f"--trajectory-frame {base} takes them as given"
+                f"{given} holds poses of {self.name}, not of {base}, and is used as such: surfaces "
+                f"that were seen at different times are {100 * self.rms_m:.1f} cm apart, and "
+                f"{100 * self.as_base_m:.1f} cm by {base}; --trajectory-frame {base} overrules this"
             )
         if self.rms_m > _BLURRED * self.noise_m:
             warnings.append(
-                f"by the poses of {given}, surfaces that were seen at different times are {100 * self.rms_m:.1f} cm apart "
-                f"(noise: {100 * self.noise_m:.1f}), and so is the map; give more precise poses, or leave --trajectory out"
+                f"{given}: surfaces that were seen at different times are {100 * self.rms_m:.1f} cm "
+                f"apart by its poses (noise: {100 * self.noise_m:.1f} cm), which blurs the map; give "
+                "more precise poses, or leave --trajectory out"
             )
         return warnings
 
@@ -68,7 +69,7 @@ class PoseFrame:
 def find_pose_frame(
     name: str, given: Trajectory, inputs: Inputs, settings: Settings, frame: str | None
 ) -> PoseFrame:
-    """Return the frame of the given poses: the named one, the base's, or another by which surfaces agree better.
+    """Return the frame of given poses: the named one, the base's, or one by which surfaces agree better.
 
     Raises InputError for an unknown frame, and where surfaces agree by none.
     """
@@ -77,7 +78,7 @@ def find_pose_frame(
     base, known = inputs.rig.base_frame, _known(inputs)
     if frame is not None and frame not in known:
         raise InputError(
-            f"--trajectory-frame {frame}: the bag knows no such frame; name one of {', '.join(known)}"
+            f"--trajectory-frame {frame}: no such frame; name one of {', '.join(known)}"
         )
     scans = scans_of(inputs, sensor, given, settings, _SCANS)
 
@@ -94,9 +95,9 @@ def find_pose_frame(
             best, (best_m, T_best) = other, tried[other]
     if best_m > max(_CHANCE_M, _BLURRED * noise_m):
         raise InputError(
-            f"--trajectory {name}: surfaces that {sensor.lidar.topic} saw at different times do not meet "
-            f"({100 * best_m:.1f} cm apart at best) by poses of {best} or any other frame; give poses of this drive, in metres, "
-            "stamped by the lidar's clock, or leave --trajectory out"
+            f"--trajectory {name}: surfaces that {sensor.lidar.topic} saw at different times do not "
+            f"meet, of whatever frame the poses are ({100 * best_m:.1f} cm apart at best); give poses "
+            "of this drive, in metres, stamped by the lidar's clock, or leave --trajectory out"
         )
     return PoseFrame(best, transforms.invert(T_best), best_m, as_base_m, noise_m)
 
@@ -106,7 +107,7 @@ def _of_base(given: Trajectory, T_base_frame: FloatArray) -> Trajectory:
 
 
 def _known(inputs: Inputs) -> dict[str, FloatArray]:
-    """T_base_frame (4, 4) of the base, the lidars, and what the static transforms join with them."""
+    """T_base_frame (4, 4) of the base, the lidars, and the frames that transforms join with them."""
     base, tree = inputs.rig.base_frame, inputs.rig.tree
     lidars = {
         sensor.lidar.frame_id: sensor.lidar.T_base_sensor for sensor in inputs.by_role.values()
@@ -127,7 +128,7 @@ def _candidates(known: dict[str, FloatArray], inputs: Inputs) -> Iterator[tuple[
 def _agreement_m(
     odometry: Trajectory, sensor: Sensor, mapped: Sequence[Scan], laid: Sequence[Scan]
 ) -> float:
-    """RMS distance (m) of the returns of some scans from the surfaces of others; NaN where they do not meet."""
+    """RMS distance (m) of the returns of some scans from the surfaces of others; NaN: unknown."""
     T = sensor.lidar.T_base_sensor
     patches = Patches.of(laid_out(mapped, odometry, T), cube_m=0.1, neighbours=16)
     return surfaces_rms_m(patches, odometry, laid, T, _RETURNS)

@@ -9,8 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.app.run.mount_check import has_turned
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import ffmap_here, rig_of, with_cache, write_rig
 
@@ -70,13 +68,15 @@ def test_as_given_it_is_not_looked_into(folder: Path) -> None:
     assert "mount" not in json.loads((folder / "given" / "run.json").read_text())
 
 
-@pytest.mark.parametrize(("turned_deg", "seconds", "waits"), [(0.0, 30.0, True), (70.0, 10.0, False), (0.0, 61.0, False)])
-def test_before_a_mount_is_refined_a_turn_is_waited_for_but_not_for_ever(
-    turned_deg: float, seconds: float, waits: bool
-) -> None:
-    """On a straight way a clock that is off does what a shift does."""
-    share = np.linspace(0.0, 1.0, 20)
-    pose = np.tile(np.eye(4), (20, 1, 1))
-    pose[:, :3, :3] = Rotation.from_euler("z", np.radians(turned_deg) * share[:, None]).as_matrix()
-    pose[:, 0, 3] = 0.5 * seconds * share
-    assert has_turned(Trajectory((1e9 * seconds * share).astype(np.int64), pose)) is not waits
+def test_a_mount_that_is_far_off_ends_the_run_before_the_odometry(folder: Path) -> None:
+    """Degrees for radians, say: the line names the transform, and what would fit."""
+    turned = transforms.make_transform(Rotation.from_euler("z", 20, degrees=True))
+    write_rig(folder / "far.toml", rig_of(folder / "drive.bag"), turned)
+    words = ("--out", folder / "far", "--rig", folder / "far.toml", *SHORT)
+    done = ffmap_here(with_cache(folder / "cache"), "run", folder / "drive.bag", *words)
+    assert done.returncode == 2
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("ffmap: ")]
+    assert "the transform base_link -> vertical_velodyne is wrong" in line
+    assert "roll, pitch, yaw = 90, 0, 90 deg would fit" in line
+    assert "--from-motion" in line
+    assert "odometry" not in json.loads((folder / "far" / "run.json").read_text())["timings_s"]
