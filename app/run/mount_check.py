@@ -165,17 +165,14 @@ def laid_out(scans: Sequence[Scan], odometry: Trajectory, T_base_sensor: FloatAr
     return np.concatenate(points).astype(np.float64)
 
 
-def scans_of(
-    inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, count: int, together: int = 1
-) -> list[Scan]:
-    """Some of a lidar's scans: `count` times `together` successive ones, over the time of the poses."""
+def scans_of(inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings, count: int) -> list[Scan]:
+    """Some of a lidar's scans, at most `count`, spread over the time of the poses."""
     covered = np.flatnonzero(odometry.covers(sensor.index.stamp_ns, margin_ns=-100_000_000))
-    last = max(len(covered) - together, 0)
-    chosen = covered[np.unique(np.linspace(0, last, min(count, len(covered))).astype(int))]
+    chosen = covered[np.unique(np.linspace(0, len(covered) - 1, min(count, len(covered))).astype(int))]
     scans: list[Scan] = []
     with open_bag(inputs.bag_path) as bag:
         for number in chosen.tolist():
-            for _, scan in read_scans(bag, sensor.index, number, together, sensor.lidar.decoding):
+            for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
                 if isinstance(scan, Scan) and len(near := within_range(scan, settings.scan.range_max_m)):
                     scans.append(near)
     return scans

@@ -1,6 +1,6 @@
 """Find the frame of a given trajectory by the surfaces that a lidar sees at different times."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,15 +17,16 @@ from ffmap.loaders.errors import InputError
 
 _SCANS, _RETURNS = 31, 10_000
 """Number of scans over the whole drive, every second of which makes the patches; of returns."""
-_WINDOWS, _IN_A_WINDOW = 4, 4
-"""Number of short times, and of successive scans in each, that show the noise."""
+_NOISE_EVERY = 4
+"""Of these scans, every fourth shows the noise: its returns about its own surfaces."""
 _BETTER = 1.15
 """Minimum ratio of the distances between surfaces by which one frame is better than another."""
 _CHANCE_M = 0.7 * REACH_M / np.sqrt(3.0)
 """RMS distance (m) beyond which surfaces seen at different times do not meet: it is 1/sqrt(3) of the
 reach where returns lie at random."""
-_BLURRED = 2.0
-"""Multiple of the noise beyond which surfaces do not agree, and a user is warned."""
+_FITS, _BLURRED = 2.5, 1.5
+"""Multiples of the noise: below the first, a frame may be the right one (KISS-ICP's own poses have 2.1);
+above the second, a user is warned."""
 _FRAMES_MAX = 12
 """Maximum number of the bag's frames that are tried; of more, those of the lidars."""
 _T_FRAME_CAMERA = np.array(
@@ -39,7 +40,7 @@ class PoseFrame:
     """The frame that poses are of.
 
     T_frame_base: (4, 4). rms_m, as_base_m: RMS distance (m) between surfaces seen at different
-    times, by this frame and by the base. noise_m: the same of successive scans. NaN: unknown.
+    times, by this frame and by the base. noise_m: the same within a scan. NaN: unknown.
     """
 
     name: str
@@ -86,18 +87,20 @@ def find_pose_frame(
         return _agreement_m(_of_base(given, T_base_frame), sensor, scans[::2], scans[1::2])
 
     best, T_best = frame or base, known[frame or base]
-    noise_m = _noise_m(inputs, sensor, _of_base(given, T_best), settings)
+    by_base = _of_base(given, T_best)
+    noises = [_agreement_m(by_base, sensor, [scan], [scan]) for scan in scans[::_NOISE_EVERY]]
+    noise_m = float(np.median(noises)) if noises else float("nan")
     best_m = as_base_m = rms_m(T_best)
     if frame is None and best_m > _BETTER * noise_m:
-        tried = {other: (rms_m(T), T) for other, T in _candidates(known, inputs)}
+        tried = {other: (rms_m(T), T) for other, T in _candidates(known, inputs).items()}
         other = min(tried, key=lambda one: np.nan_to_num(tried[one][0], nan=np.inf))
-        if _BETTER * tried[other][0] < as_base_m:
+        if _BETTER * tried[other][0] < as_base_m and tried[other][0] < _FITS * noise_m:
             best, (best_m, T_best) = other, tried[other]
-    if best_m > max(_CHANCE_M, _BLURRED * noise_m):
+    if best_m > max(_CHANCE_M, _FITS * noise_m):
         raise InputError(
             f"--trajectory {name}: surfaces that {sensor.lidar.topic} saw at different times do not "
-            f"meet, of whatever frame the poses are ({100 * best_m:.1f} cm apart at best); give poses "
-            "of this drive, in metres, stamped by the lidar's clock, or leave --trajectory out"
+            f"meet ({100 * best_m:.1f} cm apart), of whatever frame the poses are; give poses of this "
+            "drive, in metres, stamped by the lidar's clock, or leave --trajectory out"
         )
     return PoseFrame(best, transforms.invert(T_best), best_m, as_base_m, noise_m)
 
@@ -116,13 +119,15 @@ def _known(inputs: Inputs) -> dict[str, FloatArray]:
     return {base: np.eye(4), **lidars, **others}
 
 
-def _candidates(known: dict[str, FloatArray], inputs: Inputs) -> Iterator[tuple[str, FloatArray]]:
-    """Frames by name, T_base_frame (4, 4), each as it is and with a camera's axes."""
+def _candidates(known: dict[str, FloatArray], inputs: Inputs) -> dict[str, FloatArray]:
+    """T_base_frame (4, 4) of frames, and of the base and the first lidar with a camera's axes."""
     lidars = [sensor.lidar.frame_id for sensor in inputs.by_role.values()]
-    named = [*known] if len(known) <= _FRAMES_MAX else [inputs.rig.base_frame, *lidars]
-    for words, axes in (("{}", np.eye(4)), ("{} with z forward and y down", _T_FRAME_CAMERA)):
-        for frame in named:
-            yield words.format(frame), known[frame] @ axes
+    usual = [inputs.rig.base_frame, *lidars]
+    frames = {name: T for name, T in known.items() if len(known) <= _FRAMES_MAX or name in usual}
+    cameras = {
+        f"{name} with z forward and y down": known[name] @ _T_FRAME_CAMERA for name in usual[:2]
+    }
+    return frames | cameras
 
 
 def _agreement_m(
@@ -132,13 +137,3 @@ def _agreement_m(
     T = sensor.lidar.T_base_sensor
     patches = Patches.of(laid_out(mapped, odometry, T), cube_m=0.1, neighbours=16)
     return surfaces_rms_m(patches, odometry, laid, T, _RETURNS)
-
-
-def _noise_m(inputs: Inputs, sensor: Sensor, odometry: Trajectory, settings: Settings) -> float:
-    """RMS distance (m) between the surfaces of successive scans; NaN where they do not meet."""
-    scans = scans_of(inputs, sensor, odometry, settings, _WINDOWS, _IN_A_WINDOW)
-    windows = [scans[first : first + _IN_A_WINDOW] for first in range(0, len(scans), _IN_A_WINDOW)]
-    own = np.array(
-        [_agreement_m(odometry, sensor, window[::2], window[1::2]) for window in windows]
-    )
-    return float(np.median(own[np.isfinite(own)])) if np.isfinite(own).any() else float("nan")
