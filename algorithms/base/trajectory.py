@@ -18,6 +18,15 @@ KNOTS = (
     17  # number of poses in a scan, 6 ms apart in one of 0.1 s; between them a firing's pose is interpolated linearly
 )
 
+GAP_PERIODS = 2.5
+"""A longer step, in usual ones, is a gap: one scan or message may be lost, but more would be an event."""
+
+
+def gaps(stamp_ns: IntArray) -> IntArray:
+    """Places (k,) of the times (n,), in order, after which there is a gap."""
+    steps = np.diff(stamp_ns)
+    return np.flatnonzero(steps > GAP_PERIODS * np.median(steps)) if len(steps) else np.zeros(0, np.int64)
+
 
 class TrajectorySettings(StepSettings):
     """Placing scans and levelling the map (paper, IV.C and V)."""

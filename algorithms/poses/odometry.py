@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, middle_ns
+from ffmap.algorithms.base.trajectory import GAP_PERIODS
+from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, may_change, middle_ns
 
 if TYPE_CHECKING:
     from kiss_icp.config import KISSConfig  # noqa: TID251 - its one place
@@ -70,7 +71,7 @@ class Registration:
     residual_m: median distance of the keypoints to the local map; NaN where that was not kept.
     inlier_share: share of keypoints nearer to the local map than the threshold; NaN likewise.
     refined_m: how far the refinement has moved the pose, all scans until this one together.
-    refined_inlier_share, weakest_share, refused: see `Refinement`; NaN, and False, where poses are not refined.
+    refined_inlier_share, weakest_share, refused, rival_share: see `Refinement`; NaN, and False, where poses are not refined.
     milliseconds: what registration and refinement took.
     """
 
@@ -87,6 +88,7 @@ class Registration:
     refined_inlier_share: float
     weakest_share: float
     refused: bool
+    rival_share: float
     milliseconds: float
 
 
@@ -95,19 +97,21 @@ def register_scans(
     settings: OdometrySettings,
     refinement: RefinementSettings,
     T_sensor_companion: FloatArray | None = None,
+    T_base_sensor: FloatArray | None = None,
 ) -> Iterator[Registration]:
     """Register scans one after another to the map that they build; yields one `Registration` for each that holds a pose.
 
     scans: index, scan, and the last scan of the other lidar, if any, that ended before it. A scan that is not later than the
         last pose gets none.
-    T_sensor_companion: (4, 4) where the other lidar sits.
+    T_sensor_companion: (4, 4) where the other lidar sits. T_base_sensor: where this one sits; see `Refiner`.
     """
     # Imported here, for a fifth of a second: its settings are asked for everywhere, and scans registered in one process.
     from kiss_icp.kiss_icp import KissICP  # noqa: TID251 - its one place
 
     range_m = (settings.range_min_m, settings.range_max_m)
-    refiner = Refiner(refinement, range_m, T_sensor_companion) if refinement.enabled else None
+    refiner = Refiner(refinement, range_m, T_sensor_companion, T_base_sensor) if refinement.enabled else None
     odometry = KissICP(_configuration(settings))
+    stamps_ns: list[int] = []
     sound = ((index, scan, other) for index, scan, other in scans if holds_a_pose(scan, settings))
     registrable = _in_order(sound, refinement.enabled)
     for number, (index, scan, companion) in enumerate(registrable):
@@ -115,6 +119,13 @@ def register_scans(
         keep_evidence = number % settings.evidence_every == 0
         local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
         started = time.perf_counter()
+        stamps_ns.append(middle_ns(scan))
+        periods = _periods_of_a_gap(stamps_ns, refinement.lost_distance_m)
+        if periods:
+            # Where the motion so far leads; the refinement looks for other places too, and KISS-ICP starts anew there.
+            odometry.last_pose = odometry.last_pose @ np.linalg.matrix_power(odometry.last_delta, periods - 1)
+            if refiner:
+                odometry.local_map.clear()
         T_prediction = odometry.last_pose @ odometry.last_delta
         stride = -(-len(scan) // settings.points_max)
         _, keypoints = odometry.register_frame(
@@ -122,8 +133,8 @@ def register_scans(
         )
         T_kiss = odometry.last_pose.copy()
         nan, kept = float("nan"), keypoints.astype(np.float32)
-        unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, kept)
-        refined = refiner.refine(scan, T_kiss, companion) if refiner else unrefined
+        unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, 0.0, kept)
+        refined = refiner.refine(scan, T_kiss, companion, after_gap=periods > 0) if refiner else unrefined
         milliseconds = 1e3 * (time.perf_counter() - started)
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
         T_refined_kiss = refined.T_odom_sensor_end @ transforms.invert(T_kiss)
@@ -141,6 +152,7 @@ def register_scans(
             refined_inlier_share=refined.inlier_share,
             weakest_share=refined.weakest_share,
             refused=refined.refused,
+            rival_share=refined.rival_share,
             milliseconds=milliseconds,
         )
 
@@ -188,6 +200,14 @@ def _in_order(
         if last_ns is None or stamp_ns - last_ns >= _STEP_MIN_NS:
             last_ns = stamp_ns
             yield index, scan, companion
+
+
+def _periods_of_a_gap(stamps_ns: list[int], near_m: float) -> int:
+    """How many usual steps the last one is, where it is a gap in which a sensor may go farther than `near_m`; else 0."""
+    if len(stamps_ns) < 2 or may_change(stamps_ns[-1] - stamps_ns[-2]).metres <= near_m:
+        return 0
+    steps = np.diff(np.array(stamps_ns, np.int64))
+    return round(steps[-1] / np.median(steps)) if steps[-1] > GAP_PERIODS * np.median(steps) else 0
 
 
 def weakness(registration: Registration, settings: RefinementSettings) -> str | None:

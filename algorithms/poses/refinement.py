@@ -9,11 +9,23 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.correlation import likely_motions
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 
-_PAUSE_MAX_NS = 500_000_000  # after a longer pause the motion before it says nothing of where the robot is
+_CHANGE_DEG, _CHANGE_M = 6.0, 0.15
+"""By how much a motion from one scan to the next may differ from the one before, at least: the noise of both. A robot that brakes
+from a quick turn changes it by 3 degrees, a lidar in the hand by up to 6."""
+_CHANGE_DEG_S, _CHANGE_M_S = 60.0, 1.5
+"""The same for each second between them: what a robot can turn and drive otherwise than expected. Up to 0.1 s noise is more."""
+_STEP_NS = 100_000_000  # over longer times a motion is carried on in such steps, along its arc
+_RECALLED_MAX = 100  # scans that a place is looked for in
+_UPRIGHT_MIN = 3  # points, one in each cube, above one another: a wall, where floor and ceiling have one each
+_PLACES_MAX = 8
+_SEEN_M = 5.0  # how much farther off than a place the sensor may have been when it saw what is seen from there
+_SAME_DEG, _SAME_M = 10.0, 0.5  # registrations that differ by less, and fit as well, may yet be of one place
+_RIVAL_SHARE = 0.05  # a place that fits by so much less of the scan is another one's rival
 
 
 class RefinementSettings(StepSettings):
@@ -78,19 +90,6 @@ class RefinementSettings(StepSettings):
         le=1,
         description="Minimum share of a scan that fits the map; with less, the registration is called weak.",
     )
-    jump_deg: float = Field(
-        6.0,
-        gt=0,
-        description="Maximum difference (degrees) of a registration from the odometry's motion or from the motion so far; "
-        "one that differs more from both is refused: it matched another place that looks like this one. A robot that brakes from a "
-        "quick turn changes its motion by 3 degrees from one scan to the next, a lidar in the hand by up to 6.",
-    )
-    jump_m: float = Field(0.15, gt=0, description="The same in metres.")
-    refusals_max: int = Field(
-        10,
-        ge=0,
-        description="Number of refusals in a row after which a registration is accepted: the poses before it were wrong.",
-    )
     passes: int = Field(
         3,
         ge=1,
@@ -117,6 +116,7 @@ class Refinement:
     weakest_share: how well the scan holds its place in the direction in which it holds it least, as a share of how well
         it does in the best one; near 0 in a corridor without a feature. 1 for the first scan.
     refused: whether the registration was: it jumped. The pose is then where the odometry's motion leads.
+    rival_share: the share that fits at the best other place after a gap; 0 where none was looked for.
     cloud_sensor: (k, 3) float32, both lidars' returns that were registered, as they are seen at `stamp_ns`.
     """
 
@@ -126,6 +126,7 @@ class Refinement:
     inlier_share: float
     weakest_share: float
     refused: bool
+    rival_share: float
     cloud_sensor: FloatArray
 
 
@@ -159,6 +160,32 @@ class _Found(NamedTuple):
     inlier_share: float
     weakest_share: float
     refused: bool
+    rival_share: float = 0.0
+
+
+class Change(NamedTuple):
+    """By how much a pose may differ from another one."""
+
+    degrees: float
+    metres: float
+
+    def share_of(self, T_expected: FloatArray, T_found: FloatArray) -> float:
+        """How far a pose is off, 1 being as far as it may be."""
+        off = transforms.to_twist(transforms.invert(T_expected) @ T_found)
+        turn_deg, way_m = np.degrees(np.linalg.norm(off[:3])), np.linalg.norm(off[3:])
+        return float(max(turn_deg / self.degrees, way_m / self.metres))
+
+
+def may_change(elapsed_ns: int) -> Change:
+    """By how much the pose of a scan may differ from where the motion until so long ago leads."""
+    seconds = elapsed_ns * 1e-9
+    return Change(max(_CHANGE_DEG, _CHANGE_DEG_S * seconds), max(_CHANGE_M, _CHANGE_M_S * seconds))
+
+
+def carried_on(T: FloatArray, motion_per_ns: FloatArray, elapsed_ns: int) -> FloatArray:
+    """The pose (4, 4) that a motion leads to from another one, along its arc."""
+    steps = max(round(elapsed_ns / _STEP_NS), 1)
+    return T @ np.linalg.matrix_power(transforms.from_twist(motion_per_ns * elapsed_ns / steps), steps)
 
 
 def middle_ns(scan: Scan) -> int:
@@ -175,26 +202,36 @@ class Refiner:
     again by it.
 
     settings: of the refinement. range_m: returns nearer or farther than these are left out.
-    T_sensor_companion: (4, 4) where the other lidar sits, if there is one.
+    T_sensor_companion: (4, 4) where the other lidar sits, if there is one. T_base_sensor: (4, 4) where
+        this one sits on a base that stands level at the start; None where its own z points up.
     """
 
     def __init__(
-        self, settings: RefinementSettings, range_m: tuple[float, float], T_sensor_companion: FloatArray | None = None
+        self,
+        settings: RefinementSettings,
+        range_m: tuple[float, float],
+        T_sensor_companion: FloatArray | None = None,
+        T_base_sensor: FloatArray | None = None,
     ) -> None:
         self._settings = settings
         self._range_m = range_m
         self._T_sensor_companion = T_sensor_companion
+        self._T_level_odom = np.eye(4) if T_base_sensor is None else T_base_sensor
         self._map = GaussianMap(settings.voxel_m, settings.memory_scans)
         self._last: _Registered | None = None
         self._first: tuple[Scan, Scan | None] | None = None
-        self._refusals = 0
+        self._trusted_ns = 0
         self._inlier_share = 1.0
+        self._seen: list[tuple[FloatArray, FloatArray]] = []
 
-    def refine(self, scan: Scan, T_odom_sensor_end: FloatArray, companion: Scan | None = None) -> Refinement:
+    def refine(
+        self, scan: Scan, T_odom_sensor_end: FloatArray, companion: Scan | None = None, after_gap: bool = False
+    ) -> Refinement:
         """Register one scan, later than the last one, and beside it the last one of the other lidar that ended before it.
 
         T_odom_sensor_end: the odometry's pose at the scan's end. Where the motion so far leads is the first guess, and where the
             odometry's motion since the last scan does, the second.
+        after_gap: whether so much time has passed that the scan may be anywhere within reach.
         """
         stamp_ns = middle_ns(scan)
         last = self._last
@@ -203,37 +240,41 @@ class Refiner:
             registered = self._put_together(scan, companion, stamp_ns, motion_per_ns)
             found = _Found(T_odom_sensor_end, 1.0, 1.0, False)
             self._first = scan, companion
+        elif after_gap:
+            found, registered, motion_per_ns = self._find_again(scan, companion, last)
+            self._first = None
         else:
             elapsed_ns = stamp_ns - last.stamp_ns
             T_predicted_by_odometry = last.T_refined @ transforms.invert(last.T_kiss_end) @ T_odom_sensor_end
             motion_per_ns = last.motion_per_ns
-            expected: list[FloatArray] = [T_predicted_by_odometry]
-            paused = elapsed_ns >= _PAUSE_MAX_NS
-            if not paused:
-                expected.insert(0, last.T_refined @ transforms.from_twist(motion_per_ns * elapsed_ns))
+            expected = [carried_on(last.T_refined, motion_per_ns, elapsed_ns), T_predicted_by_odometry]
             guesses = list(expected)
+            change = may_change(stamp_ns - self._trusted_ns)
             # The second scan is registered from rest on, then with the motion that was found.
             passes = self._settings.passes if self._first is None else max(self._settings.passes, 3)
             for number in range(passes):
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
-                again = self._register(source, guesses, expected)
+                again = self._register(source, guesses, expected, change)
                 if number and again.refused:
                     break
                 found, registered, assumed_per_ns = again, source, motion_per_ns
                 motion_per_ns = transforms.to_twist(transforms.invert(last.T_refined) @ found.T_odom_sensor) / elapsed_ns
-                # What was refused, and the mean motion of a pause, say nothing of how the sensor moved within the sweep.
-                change = (motion_per_ns - assumed_per_ns) * (scan.end_ns - stamp_ns)
-                if self._first is None and (found.refused or paused or not self._bends(change)):
+                # What was refused says nothing of how the sensor moved within the sweep.
+                bend = (motion_per_ns - assumed_per_ns) * (scan.end_ns - stamp_ns)
+                if self._first is None and (found.refused or not self._bends(bend)):
                     break
                 guesses = [found.T_odom_sensor, *expected]
             self._first = None
-        self._refusals = self._refusals + 1 if found.refused else 0
+        if not found.refused:
+            self._trusted_ns = stamp_ns
         self._inlier_share = found.inlier_share
         self._map.insert(registered, found.T_odom_sensor)
         self._last = _Registered(stamp_ns, T_odom_sensor_end, found.T_odom_sensor, motion_per_ns)
         T_middle_end = transforms.from_twist(motion_per_ns * (scan.end_ns - stamp_ns))
+        cloud_sensor = registered.points
+        self._seen.append((found.T_odom_sensor, cloud_sensor))
         return Refinement(
             stamp_ns=stamp_ns,
             T_odom_sensor=found.T_odom_sensor,
@@ -241,8 +282,75 @@ class Refiner:
             inlier_share=found.inlier_share,
             weakest_share=found.weakest_share,
             refused=found.refused,
-            cloud_sensor=registered.points,
+            rival_share=found.rival_share,
+            cloud_sensor=cloud_sensor,
         )
+
+    def _find_again(
+        self, scan: Scan, companion: Scan | None, last: _Registered
+    ) -> tuple[_Found, GaussianCloud, FloatArray]:
+        """The scan after a gap registered from wherever it may be to all that was seen: what it found, the cloud, the motion.
+
+        The sensor may have moved on as it did, or stand, or be at one of the likeliest places within reach. What fits most of
+        the scan counts; of places that fit about as much of it, the one nearest to where the motion so far, or none, leads.
+        """
+        stamp_ns = middle_ns(scan)
+        elapsed_ns = stamp_ns - last.stamp_ns
+        change = may_change(elapsed_ns)
+        motions = [last.motion_per_ns, np.zeros(6)]
+        sources = [self._put_together(scan, companion, stamp_ns, motion) for motion in motions]
+        expected = [carried_on(last.T_refined, motion, elapsed_ns) for motion in motions]
+
+        def off(T: FloatArray) -> float:
+            return min(change.share_of(T_expected, T) for T_expected in expected)
+
+        places = self._places(sources[0].points, last.T_refined, change.metres + _SEEN_M)
+        near = [T for T in places if off(T) <= 1.0 + 1e-9][:_PLACES_MAX]
+        fits: list[tuple[Aligned, int]] = []
+        for number, guess in [*enumerate(expected), *((0, T) for T in near)]:
+            aligned = self._settled(sources[number], guess)
+            # How the sensor moved within this sweep, only a fit tells.
+            other = self._settled(sources[1 - number], aligned.T_map_cloud)
+            fits += [(aligned, number), (other, 1 - number)]
+        fits = [fit for fit in fits if off(fit[0].T_map_cloud) <= 1.0] or fits[:1]
+        most = max(aligned.inlier_share for aligned, _ in fits)
+        contenders = [fit for fit in fits if fit[0].inlier_share >= most - _RIVAL_SHARE]
+        nearest = min(contenders, key=lambda fit: off(fit[0].T_map_cloud))[0].T_map_cloud
+        own = [fit for fit in fits if _is_same(nearest, fit[0].T_map_cloud)]
+        found, number = max(own, key=lambda fit: fit[0].inlier_share)
+        rivals = (aligned.inlier_share for aligned, _ in fits if not _is_same(nearest, aligned.T_map_cloud))
+        refused = found.inlier_share < self._settings.weak_inlier_share
+        T_found = expected[0] if refused else found.T_map_cloud
+        rival_share = max(rivals, default=0.0)
+        return _Found(T_found, found.inlier_share, _weakest_share(found), refused, rival_share), sources[number], motions[number]
+
+    def _settled(self, source: GaussianCloud, guess: FloatArray) -> Aligned:
+        """A registration from afar, then within the usual distance."""
+        settings = self._settings
+        lost = self._map.register(source, guess, settings.lost_distance_m, settings.iterations_max)
+        return self._map.register(source, lost.T_map_cloud, settings.distance_m, settings.iterations_max)
+
+    def _places(self, points_sensor: FloatArray, T_odom_last: FloatArray, reach_m: float) -> list[FloatArray]:
+        """Poses (4, 4) from which the sensor may see what it sees, the likeliest first; what was seen there is in the map again."""
+        seen = [pair for pair in self._seen if np.linalg.norm(pair[0][:3, 3] - T_odom_last[:3, 3]) < reach_m]
+        seen = seen[:: -(-len(seen) // _RECALLED_MAX)]
+        settings = self._settings
+        points_odom = np.concatenate([transforms.apply(T, points) for T, points in seen])
+        recalled = GaussianCloud(points_odom, settings.resolution_m, settings.neighbours)
+        self._map.insert(recalled, np.eye(4))
+        T_level_last = self._T_level_odom @ T_odom_last
+        turned = transforms.make_transform(transforms.rotation_of(T_level_last))
+        target = _upright(transforms.apply(self._T_level_odom, recalled.points), settings.resolution_m)
+        source = _upright(transforms.apply(turned, points_sensor), settings.resolution_m)
+        if not len(source) or not len(target):
+            return []
+        places: list[FloatArray] = []
+        for T_plane in likely_motions(source, target):
+            T_level_sensor = transforms.from_yaw(np.arctan2(T_plane[1, 0], T_plane[0, 0]), [*T_plane[:2, 2], T_level_last[2, 3]]) @ turned
+            T = transforms.invert(self._T_level_odom) @ T_level_sensor
+            if not any(_is_same(T, other) for other in places):
+                places.append(T)
+        return places
 
     def _start_again(self, scan: Scan, companion: Scan | None, first: _Registered, motion_per_ns: FloatArray) -> None:
         """The map of the first scan alone, put together by a motion that was not known when it came."""
@@ -260,35 +368,35 @@ class Refiner:
         return GaussianCloud(np.concatenate(points), self._settings.resolution_m, self._settings.neighbours)
 
     def _register(
-        self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray]
+        self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray], change: "Change"
     ) -> _Found:
         """The pose that a registration finds, or the odometry's where it was refused.
 
         guesses: from these one after another, until as much of the scan fits as of the last one; least squares over what fits
             may lead to where less does, so if none does, what fits best counts.
-        expected: where the motion so far leads, if it can be carried on, and last where the odometry's does, which holds if
-            no registration does.
+        expected: where the motion so far leads, and last where the odometry's does, which holds if no registration does.
+        change: by how much a registration may differ from both; what differs more is refused: it matched another place that
+            looks like this one.
         """
         settings, near_m = self._settings, self._settings.distance_m
         usual = max(settings.weak_inlier_share, self._inlier_share - settings.fit_drop_max)
-        fit = self._best_fit(source, guesses, expected, (near_m, 2 / 3 * near_m), usual)
+        fit = self._best_fit(source, guesses, expected, change, (near_m, 2 / 3 * near_m), usual)
         if fit.jumped or fit.aligned.inlier_share < settings.weak_inlier_share:
-            lost = self._best_fit(source, guesses, expected, (settings.lost_distance_m,), settings.weak_inlier_share)
+            lost_m = settings.lost_distance_m
+            lost = self._best_fit(source, guesses, expected, change, (lost_m,), settings.weak_inlier_share)
             # More of a scan lies within more: shares are compared at one distance.
-            near = self._best_fit(source, [lost.aligned.T_map_cloud], expected, (near_m,), usual)
+            near = self._best_fit(source, [lost.aligned.T_map_cloud], expected, change, (near_m,), usual)
             fit = min(fit, near, key=lambda own: own.rank)
         found = fit.aligned
-        refused = fit.jumped and self._refusals < settings.refusals_max
-        hold = np.linalg.eigvalsh(found.information[3:, 3:])
-        weakest_share = float(max(hold[0], 0.0) / max(hold[2], 1e-9))
-        T_found = expected[-1] if refused or not found.inlier_share else found.T_map_cloud
-        return _Found(T_found, found.inlier_share, weakest_share, refused)
+        T_found = expected[-1] if fit.jumped or not found.inlier_share else found.T_map_cloud
+        return _Found(T_found, found.inlier_share, _weakest_share(found), fit.jumped)
 
     def _best_fit(
         self,
         source: GaussianCloud,
         guesses: list[FloatArray],
         expected: list[FloatArray],
+        change: "Change",
         distances_m: tuple[float, ...],
         share_min: float,
     ) -> _Fit:
@@ -296,7 +404,8 @@ class Refiner:
         fits: list[_Fit] = []
         for distance_m, guess in product(distances_m, guesses):
             found = self._map.register(source, guess, distance_m, self._settings.iterations_max)
-            fits.append(_Fit(found, found.inlier_share > 0 and all(self._is_jump(T, found.T_map_cloud) for T in expected)))
+            jumped = all(change.share_of(T, found.T_map_cloud) > 1.0 for T in expected)
+            fits.append(_Fit(found, found.inlier_share > 0 and jumped))
             if not fits[-1].jumped and found.inlier_share >= share_min:
                 return fits[-1]
         return min(fits, key=lambda own: own.rank)
@@ -304,10 +413,6 @@ class Refiner:
     def _bends(self, change: FloatArray) -> bool:
         """Whether a sweep that was put together by a motion that is off by so much, a twist within its half, is bent."""
         return _is_more_than(change, self._settings.bend_deg, self._settings.bend_m)
-
-    def _is_jump(self, T_expected: FloatArray, T_found: FloatArray) -> bool:
-        off = transforms.to_twist(transforms.invert(T_expected) @ T_found)
-        return _is_more_than(off, self._settings.jump_deg, self._settings.jump_m)
 
     def _moved(
         self, scan: Scan, most: int, T_sensor_own: FloatArray, at_ns: int, motion_per_ns: FloatArray
@@ -321,6 +426,22 @@ class Refiner:
         if scan.time_ns is None:
             return points
         return _at_one_time(points, scan.start_ns + scan.time_ns[::stride][kept] - at_ns, motion_per_ns)
+
+
+def _weakest_share(found: Aligned) -> float:
+    hold = np.linalg.eigvalsh(found.information[3:, 3:])
+    return float(max(hold[0], 0.0) / max(hold[2], 1e-9))
+
+
+def _is_same(T: FloatArray, T_other: FloatArray) -> bool:
+    return Change(_SAME_DEG, _SAME_M).share_of(T, T_other) <= 1.0
+
+
+def _upright(points_level: FloatArray, cube_m: float) -> FloatArray:
+    """Middles (k, 2) of the columns, as wide as cubes, in which points (n, 3) lie above one another."""
+    cubes = np.unique(np.floor(points_level / cube_m).astype(np.int64), axis=0)
+    columns, count = np.unique(cubes[:, :2], axis=0, return_counts=True)
+    return (columns[count >= _UPRIGHT_MIN] + 0.5) * cube_m
 
 
 def _is_more_than(twist: FloatArray, most_deg: float, most_m: float) -> bool:

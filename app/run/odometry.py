@@ -36,7 +36,7 @@ from ffmap.loaders.scans import read_digests, read_scans
 _PER_FILE = 50
 _WAITING = 64
 """Results that the odometry process keeps back while the run's own process is busy."""
-_FORMAT = 11
+_FORMAT = 12
 """Raised whenever a change to reading or registering scans changes poses."""
 _RAGGED = ("keypoints_sensor", "local_map_odom")
 """What each registration has another number of."""
@@ -243,7 +243,9 @@ def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[
     scans = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m, digests)
     poses: list[FloatArray] = []
     clouds: list[FloatArray] = []
-    for registration in register_scans(scans, settings.odometry, settings.refinement, T_sensor_companion):
+    for registration in register_scans(
+        scans, settings.odometry, settings.refinement, T_sensor_companion, sensor.lidar.T_base_sensor
+    ):
         yield registration
         poses.append(registration.T_odom_sensor)
         clouds.append(registration.keypoints_sensor)
