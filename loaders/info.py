@@ -29,7 +29,6 @@ from ffmap.loaders.scans import (
 from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
 
 _SAMPLES = 8
-_GAP_PERIODS = 2.5
 _READ_MAX = 400  # Maximum number of a lidar's clouds that are read to the last point: more would take minutes
 
 
@@ -51,14 +50,6 @@ class CloudInfo:
     bad_clouds: tuple[tuple[str, int], ...]
     decoding: CloudDecoding | None
     problem: str | None
-
-    @property
-    def gaps(self) -> list[tuple[int, int]]:
-        """Pauses between two clouds: stamp of the last one before it, and how long it is, in nanoseconds."""
-        stamps = self.index.stamp_ns[self.index.usable]
-        steps = np.diff(stamps)
-        places = np.flatnonzero(steps > _GAP_PERIODS * (self.index.period_ns or np.inf))
-        return [(int(stamps[i]), int(steps[i])) for i in places]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from itertools import islice
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, in_canonical_order
+from ffmap.algorithms.base.trajectory import gaps
 from ffmap.loaders.bag import Bag, Message, RawMessage, Topic
 from ffmap.loaders.cloud_digest import digest_of
 from ffmap.loaders.errors import CloudError, InputError
@@ -29,6 +30,7 @@ _LEAD_POINTS = 32
 _OUTLIER_PERIODS = 10
 _LOOK_AHEAD = 1000  # Number of following clouds that decide whether the clock was set or one stamp is wrong
 _STRETCH_MIN = 3  # Minimum number of clouds between two leaps of the stamps; fewer are stamped wrongly
+_GAPS_NAMED = 3
 _APART_NS = 1_000_000_000  # Maximum delay between a cloud's stamp and its recording
 
 
@@ -82,6 +84,12 @@ class CloudIndex:
         """The usual time between two clouds; None for fewer than two."""
         steps = np.diff(self.stamp_ns[self.usable])
         return int(np.median(steps)) if len(steps) else None
+
+    @property
+    def gaps(self) -> list[tuple[int, int]]:
+        """Stamp of the last cloud before each gap, and the gap's length, in nanoseconds."""
+        stamps = self.stamp_ns[self.usable]
+        return [(int(stamps[i]), int(stamps[i + 1] - stamps[i])) for i in gaps(stamps)]
 
     @property
     def lead_ns(self) -> float:
@@ -164,6 +172,17 @@ def clock_problem(index: CloudIndex, other: CloudIndex) -> str | None:
             "together their clocks are apart: set the lidars to one clock (PTP), or shift one topic's stamps"
         )
     return None
+
+
+def gap_problem(index: CloudIndex) -> str | None:
+    """Where clouds are missing, the longest gaps first; None where none are."""
+    found = sorted(index.gaps, key=lambda gap: -gap[1])
+    if not found:
+        return None
+    first_ns = index.stamp_ns[index.usable][0]
+    named = ", ".join(f"{long_ns / 1e9:.1f} s after {(at_ns - first_ns) / 1e9:.1f} s" for at_ns, long_ns in found[:_GAPS_NAMED])
+    more = f" and in {len(found) - _GAPS_NAMED} shorter gaps" if len(found) > _GAPS_NAMED else ""
+    return f"{index.topic} has no clouds for {named}{more}: how the robot moved in a gap is not known"
 
 
 def cloud_topics(bag: Bag) -> list[str]:

@@ -51,10 +51,12 @@ class Trajectory:
 
     stamp_ns: (n,) int64, strictly increasing.
     T_map_base: (n, 4, 4) float64.
+    gap_ns: poses farther apart do not show how the base moved between them; None where all do.
     """
 
     stamp_ns: IntArray
     T_map_base: FloatArray
+    gap_ns: float | None = None
 
     def __post_init__(self) -> None:
         if len(self.stamp_ns) != len(self.T_map_base):
@@ -66,15 +68,22 @@ class Trajectory:
         return len(self.stamp_ns)
 
     def covers(self, stamp_ns: IntArray, margin_ns: int = 0) -> BoolArray:
-        """Whether each time lies within the trajectory, or at most `margin_ns` outside."""
+        """Whether each time lies within the trajectory, or at most `margin_ns` outside; in a gap, half of `gap_ns`."""
         if not len(self):
             return np.zeros(np.shape(stamp_ns), bool)
-        return np.asarray((stamp_ns >= self.stamp_ns[0] - margin_ns) & (stamp_ns <= self.stamp_ns[-1] + margin_ns))
+        within = (stamp_ns >= self.stamp_ns[0] - margin_ns) & (stamp_ns <= self.stamp_ns[-1] + margin_ns)
+        if self.gap_ns is None or len(self) == 1:
+            return np.asarray(within)
+        after = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self) - 1)
+        before_ns, after_ns = self.stamp_ns[after - 1], self.stamp_ns[after]
+        near = np.minimum(stamp_ns - before_ns, after_ns - stamp_ns) <= min(margin_ns, self.gap_ns / 2)
+        return np.asarray(within & (near | (after_ns - before_ns <= self.gap_ns)))
 
     def at(self, stamp_ns: IntArray) -> FloatArray:
         """T_map_base (m, 4, 4) at any times: positions linearly, rotations by slerp.
 
-        Beyond its ends the motion of the nearest two poses is carried on, for the first and last sweeps stand outside.
+        Beyond its ends, and those of a gap, the motion of the nearest two poses is carried on, for the first and last sweeps
+        reach outside.
         """
         stamps = np.asarray(stamp_ns, np.int64)
         if len(self) == 0:
@@ -82,6 +91,10 @@ class Trajectory:
         if len(self) == 1:
             return np.broadcast_to(self.T_map_base[0], (len(stamps), 4, 4)).copy()
         after = np.clip(np.searchsorted(self.stamp_ns, stamps, side="right"), 1, len(self) - 1)
+        if self.gap_ns is not None:
+            span = self.stamp_ns[after] - self.stamp_ns[after - 1]
+            late = 2 * (stamps - self.stamp_ns[after - 1]) > span
+            after = np.clip(after + np.where(span > self.gap_ns, np.where(late, 1, -1), 0), 1, len(self) - 1)
         before = after - 1
         span = (self.stamp_ns[after] - self.stamp_ns[before]).astype(np.float64)
         fraction = (stamps - self.stamp_ns[before]) / span
@@ -89,11 +102,11 @@ class Trajectory:
 
     def part(self, first: int, last: int) -> "Trajectory":
         """The poses from one up to another, by their places."""
-        return Trajectory(self.stamp_ns[first:last], self.T_map_base[first:last])
+        return replace(self, stamp_ns=self.stamp_ns[first:last], T_map_base=self.T_map_base[first:last])
 
     def moved(self, T_new_map: FloatArray) -> "Trajectory":
         """The same trajectory seen from another map frame."""
-        return Trajectory(self.stamp_ns, T_new_map @ self.T_map_base)
+        return replace(self, T_map_base=T_new_map @ self.T_map_base)
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,12 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import GAP_PERIODS
-from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, may_change, middle_ns
+from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, is_clear, may_change, middle_ns
 
 if TYPE_CHECKING:
     from kiss_icp.config import KISSConfig  # noqa: TID251 - its one place
 
+_RETRY_NS = 1_000_000_000  # after so long the sensor may see what the map holds: a search takes as long as ten scans
 _STEP_MIN_NS = 5_000_000
 """Minimum time between two poses: no lidar sweeps faster, and over less time their errors would look like fast motion."""
 
@@ -101,6 +102,8 @@ def register_scans(
 ) -> Iterator[Registration]:
     """Register scans one after another to the map that they build; yields one `Registration` for each that holds a pose.
 
+    What was seen after a gap and is found nowhere in the map has no pose, until a scan is found.
+
     scans: index, scan, and the last scan of the other lidar, if any, that ended before it. A scan that is not later than the
         last pose gets none.
     T_sensor_companion: (4, 4) where the other lidar sits. T_base_sensor: where this one sits; see `Refiner`.
@@ -112,6 +115,7 @@ def register_scans(
     refiner = Refiner(refinement, range_m, T_sensor_companion, T_base_sensor) if refinement.enabled else None
     odometry = KissICP(_configuration(settings))
     stamps_ns: list[int] = []
+    tried_ns: int | None = None
     sound = ((index, scan, other) for index, scan, other in scans if holds_a_pose(scan, settings))
     registrable = _in_order(sound, refinement.enabled)
     for number, (index, scan, companion) in enumerate(registrable):
@@ -119,6 +123,8 @@ def register_scans(
         keep_evidence = number % settings.evidence_every == 0
         local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
         started = time.perf_counter()
+        if tried_ns is not None and middle_ns(scan) - tried_ns < _RETRY_NS:
+            continue
         stamps_ns.append(middle_ns(scan))
         periods = _periods_of_a_gap(stamps_ns, refinement.lost_distance_m)
         if periods:
@@ -133,8 +139,11 @@ def register_scans(
         )
         T_kiss = odometry.last_pose.copy()
         nan, kept = float("nan"), keypoints.astype(np.float32)
-        unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, 0.0, kept)
+        unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, nan, kept)
         refined = refiner.refine(scan, T_kiss, companion, after_gap=periods > 0) if refiner else unrefined
+        tried_ns = stamps_ns.pop() if refined is None else None
+        if refined is None:
+            continue
         milliseconds = 1e3 * (time.perf_counter() - started)
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
         T_refined_kiss = refined.T_odom_sensor_end @ transforms.invert(T_kiss)
@@ -223,6 +232,18 @@ def weakness(registration: Registration, settings: RefinementSettings) -> str | 
     if registration.weakest_share < settings.weak_share:
         return f"nothing holds it in one direction ({registration.weakest_share:.1%} of the best one's hold)"
     return None
+
+
+def doubt(registration: Registration) -> str | None:
+    """In words, why a scan after a gap may be placed wrongly, and all after it; None where it is not."""
+    share, rival_share = registration.refined_inlier_share, registration.rival_share
+    if np.isnan(rival_share):
+        return None
+    if registration.refused:
+        return f"at most {share:.0%} of a scan fits it anywhere; its place was guessed by carrying on the motion before"
+    if is_clear(share, rival_share):
+        return None
+    return f"{share:.0%} of a scan fits it at the likeliest place, {rival_share:.0%} at another one"
 
 
 def _sweep_fraction(scan: Scan) -> FloatArray:

@@ -15,17 +15,19 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 
 _CHANGE_DEG, _CHANGE_M = 6.0, 0.15
-"""By how much a motion from one scan to the next may differ from the one before, at least: the noise of both. A robot that brakes
-from a quick turn changes it by 3 degrees, a lidar in the hand by up to 6."""
-_CHANGE_DEG_S, _CHANGE_M_S = 60.0, 1.5
-"""The same for each second between them: what a robot can turn and drive otherwise than expected. Up to 0.1 s noise is more."""
-_STEP_NS = 100_000_000  # over longer times a motion is carried on in such steps, along its arc
+"""By how much a motion over a tenth of a second may differ from the one before. A robot that brakes from a quick turn changes it
+by 3 degrees, a lidar in the hand by up to 6; the rest is noise."""
+_CHANGE_DEG_S, _CHANGE_M_S = 90.0, 2.0
+"""What a robot, or who carries a lidar, can turn and go otherwise than expected in each further second."""
+_STEP_NS = 100_000_000  # the tenth of a second; a motion is carried on in such steps, along its arc
 _RECALLED_MAX = 100  # scans that a place is looked for in
 _UPRIGHT_MIN = 3  # points, one in each cube, above one another: a wall, where floor and ceiling have one each
 _PLACES_MAX = 8
 _SEEN_M = 5.0  # how much farther off than a place the sensor may have been when it saw what is seen from there
 _SAME_DEG, _SAME_M = 10.0, 0.5  # registrations that differ by less, and fit as well, may yet be of one place
 _RIVAL_SHARE = 0.05  # a place that fits by so much less of the scan is another one's rival
+_CLEAR_SHARE = 0.2  # in foreign buildings the best place fits at most 14 points more of a scan than the next one, and at most half
+_BLIND_NS = 2_000_000_000  # for so long a motion is carried on where nothing fits: robots change theirs within a second or two
 
 
 class RefinementSettings(StepSettings):
@@ -116,7 +118,7 @@ class Refinement:
     weakest_share: how well the scan holds its place in the direction in which it holds it least, as a share of how well
         it does in the best one; near 0 in a corridor without a feature. 1 for the first scan.
     refused: whether the registration was: it jumped. The pose is then where the odometry's motion leads.
-    rival_share: the share that fits at the best other place after a gap; 0 where none was looked for.
+    rival_share: the share that fits at the best other place after a gap, 0 where none had to be looked for; NaN after no gap.
     cloud_sensor: (k, 3) float32, both lidars' returns that were registered, as they are seen at `stamp_ns`.
     """
 
@@ -160,7 +162,7 @@ class _Found(NamedTuple):
     inlier_share: float
     weakest_share: float
     refused: bool
-    rival_share: float = 0.0
+    rival_share: float = float("nan")
 
 
 class Change(NamedTuple):
@@ -178,8 +180,13 @@ class Change(NamedTuple):
 
 def may_change(elapsed_ns: int) -> Change:
     """By how much the pose of a scan may differ from where the motion until so long ago leads."""
-    seconds = elapsed_ns * 1e-9
-    return Change(max(_CHANGE_DEG, _CHANGE_DEG_S * seconds), max(_CHANGE_M, _CHANGE_M_S * seconds))
+    further_s = max(elapsed_ns - _STEP_NS, 0) * 1e-9
+    return Change(_CHANGE_DEG + _CHANGE_DEG_S * further_s, _CHANGE_M + _CHANGE_M_S * further_s)
+
+
+def is_clear(share: float, rival_share: float) -> bool:
+    """Whether so much of a scan, and so much at the next best place, shows where the scan was taken."""
+    return share - rival_share >= (_RIVAL_SHARE if share >= 0.5 else _CLEAR_SHARE)
 
 
 def carried_on(T: FloatArray, motion_per_ns: FloatArray, elapsed_ns: int) -> FloatArray:
@@ -226,8 +233,10 @@ class Refiner:
 
     def refine(
         self, scan: Scan, T_odom_sensor_end: FloatArray, companion: Scan | None = None, after_gap: bool = False
-    ) -> Refinement:
+    ) -> Refinement | None:
         """Register one scan, later than the last one, and beside it the last one of the other lidar that ended before it.
+
+        None, as if there had been no such scan, where it is found nowhere after a gap too long to carry the motion on.
 
         T_odom_sensor_end: the odometry's pose at the scan's end. Where the motion so far leads is the first guess, and where the
             odometry's motion since the last scan does, the second.
@@ -242,6 +251,11 @@ class Refiner:
             self._first = scan, companion
         elif after_gap:
             found, registered, motion_per_ns = self._find_again(scan, companion, last)
+            if found.refused:
+                if stamp_ns - last.stamp_ns > _BLIND_NS:
+                    return None
+                # What is seen from a place that is guessed must not be taken for what was seen before.
+                self._map = GaussianMap(self._settings.voxel_m, self._settings.memory_scans)
             self._first = None
         else:
             elapsed_ns = stamp_ns - last.stamp_ns
@@ -304,25 +318,29 @@ class Refiner:
         def off(T: FloatArray) -> float:
             return min(change.share_of(T_expected, T) for T_expected in expected)
 
-        places = self._places(sources[0].points, last.T_refined, change.metres + _SEEN_M)
-        near = [T for T in places if off(T) <= 1.0 + 1e-9][:_PLACES_MAX]
-        fits: list[tuple[Aligned, int]] = []
-        for number, guess in [*enumerate(expected), *((0, T) for T in near)]:
-            aligned = self._settled(sources[number], guess)
-            # How the sensor moved within this sweep, only a fit tells.
-            other = self._settled(sources[1 - number], aligned.T_map_cloud)
-            fits += [(aligned, number), (other, 1 - number)]
-        fits = [fit for fit in fits if off(fit[0].T_map_cloud) <= 1.0] or fits[:1]
-        most = max(aligned.inlier_share for aligned, _ in fits)
-        contenders = [fit for fit in fits if fit[0].inlier_share >= most - _RIVAL_SHARE]
-        nearest = min(contenders, key=lambda fit: off(fit[0].T_map_cloud))[0].T_map_cloud
+        def fits_from(starts: list[tuple[int, FloatArray]]) -> list[tuple[Aligned, int]]:
+            aligned = [(self._settled(sources[number], guess), number) for number, guess in starts]
+            # How the sensor moved within this sweep, only a fit shows.
+            aligned += [(self._settled(sources[1 - k], found.T_map_cloud), 1 - k) for found, k in aligned]
+            return [fit for fit in aligned if off(fit[0].T_map_cloud) <= 1.0]
+
+        fits = fits_from(list(enumerate(expected)))
+        if max((found.inlier_share for found, _ in fits), default=0.0) < self._inlier_share - self._settings.fit_drop_max:
+            places = self._places(sources[0].points, last.T_refined, change.metres + _SEEN_M)
+            fits += fits_from([(0, T) for T in places if off(T) <= 1.0][:_PLACES_MAX])
+        fits = fits or [(Aligned(expected[0], 0.0, np.zeros((6, 6))), 0)]
+        most = max(found.inlier_share for found, _ in fits)
+        contenders = [found.T_map_cloud for found, _ in fits if found.inlier_share >= most - _RIVAL_SHARE]
+        nearest = min(contenders, key=off)
         own = [fit for fit in fits if _is_same(nearest, fit[0].T_map_cloud)]
         found, number = max(own, key=lambda fit: fit[0].inlier_share)
-        rivals = (aligned.inlier_share for aligned, _ in fits if not _is_same(nearest, aligned.T_map_cloud))
-        refused = found.inlier_share < self._settings.weak_inlier_share
-        T_found = expected[0] if refused else found.T_map_cloud
+        rivals = (other.inlier_share for other, _ in fits if not _is_same(nearest, other.T_map_cloud))
         rival_share = max(rivals, default=0.0)
-        return _Found(T_found, found.inlier_share, _weakest_share(found), refused, rival_share), sources[number], motions[number]
+        share = found.inlier_share
+        refused = share < self._settings.weak_inlier_share and share - rival_share < _CLEAR_SHARE
+        T_found = expected[0] if refused else found.T_map_cloud
+        answer = _Found(T_found, share, _weakest_share(found), refused, rival_share)
+        return answer, sources[number], motions[number]
 
     def _settled(self, source: GaussianCloud, guess: FloatArray) -> Aligned:
         """A registration from afar, then within the usual distance."""

@@ -92,5 +92,9 @@ def _describe_cloud(cloud: CloudInfo) -> list[str]:
         lines.append(f"unusable: {count} of {cloud.read_count} clouds that were read: {reason}")
     if len(cloud.bad_clouds) > _REASONS:
         lines.append(f"unusable: {sum(count for _, count in cloud.bad_clouds[_REASONS:])} more, for other reasons")
-    gaps = [f"gap: {duration_ns / 1e9:.2f} s after {start_ns / 1e9:.3f}" for start_ns, duration_ns in cloud.gaps]
+    first_ns = index.stamp_ns[index.usable][0] if index.usable.any() else 0
+    gaps = [
+        f"gap: {long_ns / 1e9:.2f} s after {at_ns / 1e9:.3f} ({(at_ns - first_ns) / 1e9:.1f} s from the first cloud)"
+        for at_ns, long_ns in index.gaps
+    ]
     return lines + gaps

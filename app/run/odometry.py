@@ -13,14 +13,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import pairwise
 from multiprocessing.connection import Connection
 
 import numpy as np
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
-from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.poses.odometry import Registration
+from ffmap.algorithms.base.trajectory import GAP_PERIODS, Trajectory
+from ffmap.algorithms.poses.odometry import Registration, doubt
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.run import odometry_cache
 from ffmap.app.run.arrays import Arrays, pack, pack_rows, unpack, unpack_rows
@@ -91,6 +92,11 @@ class Odometry:
         """kept: whether it is in the cache now; known once all has been iterated over."""
         self._source = cached if cached is not None else self._register_and_keep(key, inputs, sensor, settings)
         self._T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
+        self._gap_ns = GAP_PERIODS * (sensor.index.period_ns or np.inf)
+        self._clouds_ns = sensor.index.stamp_ns[sensor.index.usable]
+        self._number_of = np.cumsum(sensor.index.usable) - 1  # of each cloud among those that are usable
+        self._numbers: list[int] = []
+        self._doubts: list[tuple[int, str]] = []
         self._stamps: list[int] = []
         self._T_odom_sensor: list[FloatArray] = []
         self.pose_graph: PoseGraph | None = None
@@ -106,7 +112,10 @@ class Odometry:
                 case _Read():
                     self.clouds = result.clouds
                 case Registration():
+                    if (why := doubt(result)) is not None:
+                        self._doubts.append((len(self._stamps), why))
                     self._stamps.append(result.stamp_ns)
+                    self._numbers.append(int(self._number_of[result.index]))
                     self._T_odom_sensor.append(result.T_odom_sensor)
                     yield result
 
@@ -120,7 +129,7 @@ class Odometry:
         if self.pose_graph is None:
             return self.registered()
         poses = self.pose_graph.corrected(np.array(self._T_odom_sensor).reshape(-1, 4, 4))
-        return Trajectory(np.array(self._stamps, np.int64), poses @ self._T_sensor_base)
+        return Trajectory(np.array(self._stamps, np.int64), poses @ self._T_sensor_base, self._gap_ns)
 
     @property
     def stamp_ns(self) -> Sequence[int]:
@@ -130,7 +139,24 @@ class Odometry:
     def registered(self, first: int = 0, last: int | None = None) -> Trajectory:
         """T_odom_base of the scans so far as they were registered, or of those from `first` up to `last`."""
         poses = np.array(self._T_odom_sensor[first:last]).reshape(-1, 4, 4)
-        return Trajectory(np.array(self._stamps[first:last], np.int64), poses @ self._T_sensor_base)
+        return Trajectory(np.array(self._stamps[first:last], np.int64), poses @ self._T_sensor_base, self._gap_ns)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Which parts of the drive could not be joined to what was seen before, or may be at a wrong place."""
+        found = []
+        first_ns, last_ns = self._clouds_ns[[0, -1]]
+        ends = [*zip(self._stamps, self._numbers, strict=True), (int(last_ns), len(self._clouds_ns))]
+        for (at_ns, number), (next_ns, next_number) in pairwise(ends):
+            clouds = next_number - number - 1
+            if clouds > 1 and next_ns - at_ns > self._gap_ns:
+                part = f"the {(next_ns - at_ns) / 1e9:.1f} s after {(at_ns - first_ns) / 1e9:.1f} s ({clouds} clouds)"
+                found.append(f"{part} could not be joined to the map and are left out: map them from a bag of their own")
+        for (place, why), (until, _) in pairwise([*self._doubts, (len(self._stamps), "")]):
+            at_ns, end_ns = self._stamps[place - 1], ends[until - 1][0]
+            part = f"the {(end_ns - at_ns) / 1e9:.1f} s after {(at_ns - first_ns) / 1e9:.1f} s ({until - place} scans)"
+            found.append(f"{part} could not be joined to the map for certain, and may lie at a wrong place: {why}")
+        return found
 
     def _look_up(self, key: str, inputs: Inputs, sensors: Sequence[Sensor]) -> Iterator[_Result] | None:
         # The clouds are read for their digest only where there may be something to find with it.

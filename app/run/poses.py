@@ -232,7 +232,7 @@ def level_by_first_scans(inputs: Inputs, odometry: Trajectory, settings: Setting
     """
     elapsed_ns = odometry.stamp_ns - odometry.stamp_ns[0]
     first_poses = int(np.searchsorted(elapsed_ns, int(settings.trajectory.level_s * 1e9))) + 1
-    odometry = Trajectory(odometry.stamp_ns[:first_poses], odometry.T_map_base[:first_poses])
+    odometry = odometry.part(0, first_poses)
     sensor = inputs.vertical or inputs.horizontal
     assert sensor is not None
     points: list[FloatArray] = []

@@ -37,6 +37,8 @@ def find_poses(run: Run, given: Trajectory | None, labeller: Labeller | None) ->
             f"registration was weak for {len(weak)} of {len(odometry)} scans (the first: {weak[0]}); poses may be off there: "
             "see the recording's tab Odometry"
         )
+    for warning in odometry.warnings:
+        run.warn(warning)
     if not np.isfinite(level.floor_rms_m):
         run.warn("no floor was found in the first seconds: the map keeps the base's own level; is the rig right?")
     trajectory, registered = odometry.trajectory, odometry.registered()

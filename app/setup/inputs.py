@@ -18,6 +18,7 @@ from ffmap.loaders.scans import (
     CloudIndex,
     SkippedScan,
     clock_problem,
+    gap_problem,
     read_digests,
     read_scans,
     stamp_problem,
@@ -25,7 +26,8 @@ from ffmap.loaders.scans import (
 
 _REASONS_READ = 50
 _NO_POSE = (
-    "its returns are too few, or all in a line, to be registered, or its times overlap those of a cloud before it"
+    "its returns are too few, or all in a line, to be registered, its times overlap those of a cloud before it, or it could not "
+    "be joined to the map after a gap"
 )
 
 
@@ -120,13 +122,15 @@ def find_inputs(bag_path: BagPath | Path, options: InputOptions) -> Inputs:
         horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
         verticals = tuple(_sensor(bag, lidar) for lidar in rig.verticals)
         clocks = [clock_problem(horizontal.index, vertical.index) for vertical in verticals if horizontal]
+        lidars = {sensor.lidar.topic: sensor for sensor in (horizontal, *verticals) if sensor is not None}
+        missing = [gap_problem(sensor.index) for sensor in lidars.values()]
         return Inputs(
             bag_path=bag.path.resolve(),
             container=bag.container,
             rig=rig,
             horizontal=horizontal,
             verticals=verticals,
-            warnings=(*bag.warnings, *rig.warnings, *(problem for problem in clocks if problem)),
+            warnings=(*bag.warnings, *rig.warnings, *(problem for problem in (*clocks, *missing) if problem)),
         )
 
 
