@@ -129,7 +129,8 @@ def register_scans(
         periods = _periods_of_a_gap(stamps_ns, refinement.lost_distance_m)
         if periods:
             # Where the motion so far leads; the refinement looks for other places too, and KISS-ICP starts anew there.
-            odometry.last_pose = odometry.last_pose @ np.linalg.matrix_power(odometry.last_delta, periods - 1)
+            way = np.linalg.matrix_power(odometry.last_delta, periods - 1)
+            odometry.last_pose = transforms.orthonormal(odometry.last_pose @ way)
             if refiner:
                 odometry.local_map.clear()
         T_prediction = odometry.last_pose @ odometry.last_delta

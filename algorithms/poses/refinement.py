@@ -25,7 +25,7 @@ _UPRIGHT_MIN = 3  # points, one in each cube, above one another: a wall, where f
 _PLACES_MAX = 8
 _SEEN_M = 5.0  # how much farther off than a place the sensor may have been when it saw what is seen from there
 _SAME_DEG, _SAME_M = 10.0, 0.5  # registrations that differ by less, and fit as well, may yet be of one place
-_RIVAL_SHARE = 0.05  # a place that fits by so much less of the scan is another one's rival
+_RIVAL_SHARE = 0.05  # a place at the end of what is within reach must fit by so much more of the scan than the expected one
 _CLEAR_SHARE = 0.2  # in foreign buildings the best place fits at most 14 points more of a scan than the next one, and at most half
 _BLIND_NS = 2_000_000_000  # for so long a motion is carried on where nothing fits: robots change theirs within a second or two
 
@@ -192,7 +192,8 @@ def is_clear(share: float, rival_share: float) -> bool:
 def carried_on(T: FloatArray, motion_per_ns: FloatArray, elapsed_ns: int) -> FloatArray:
     """The pose (4, 4) that a motion leads to from another one, along its arc."""
     steps = max(round(elapsed_ns / _STEP_NS), 1)
-    return T @ np.linalg.matrix_power(transforms.from_twist(motion_per_ns * elapsed_ns / steps), steps)
+    way = np.linalg.matrix_power(transforms.from_twist(motion_per_ns * elapsed_ns / steps), steps)
+    return transforms.orthonormal(T @ way) if steps > 1 else np.asarray(T @ way)
 
 
 def middle_ns(scan: Scan) -> int:
@@ -306,7 +307,7 @@ class Refiner:
         """The scan after a gap registered from wherever it may be to all that was seen: what it found, the cloud, the motion.
 
         The sensor may have moved on as it did, or stand, or be at one of the likeliest places within reach. What fits most of
-        the scan counts; of places that fit about as much of it, the one nearest to where the motion so far, or none, leads.
+        the scan counts; the farther from where the motion so far, or none, leads, the more has to fit.
         """
         stamp_ns = middle_ns(scan)
         elapsed_ns = stamp_ns - last.stamp_ns
@@ -329,12 +330,8 @@ class Refiner:
             places = self._places(sources[0].points, last.T_refined, change.metres + _SEEN_M)
             fits += fits_from([(0, T) for T in places if off(T) <= 1.0][:_PLACES_MAX])
         fits = fits or [(Aligned(expected[0], 0.0, np.zeros((6, 6))), 0)]
-        most = max(found.inlier_share for found, _ in fits)
-        contenders = [found.T_map_cloud for found, _ in fits if found.inlier_share >= most - _RIVAL_SHARE]
-        nearest = min(contenders, key=off)
-        own = [fit for fit in fits if _is_same(nearest, fit[0].T_map_cloud)]
-        found, number = max(own, key=lambda fit: fit[0].inlier_share)
-        rivals = (other.inlier_share for other, _ in fits if not _is_same(nearest, other.T_map_cloud))
+        found, number = max(fits, key=lambda fit: fit[0].inlier_share - _RIVAL_SHARE * off(fit[0].T_map_cloud))
+        rivals = (other.inlier_share for other, _ in fits if not _is_same(found.T_map_cloud, other.T_map_cloud))
         rival_share = max(rivals, default=0.0)
         share = found.inlier_share
         refused = share < self._settings.weak_inlier_share and share - rival_share < _CLEAR_SHARE
@@ -364,7 +361,8 @@ class Refiner:
             return []
         places: list[FloatArray] = []
         for T_plane in likely_motions(source, target):
-            T_level_sensor = transforms.from_yaw(np.arctan2(T_plane[1, 0], T_plane[0, 0]), [*T_plane[:2, 2], T_level_last[2, 3]]) @ turned
+            yaw_rad, height_m = float(np.arctan2(T_plane[1, 0], T_plane[0, 0])), T_level_last[2, 3]
+            T_level_sensor = transforms.from_yaw(yaw_rad, [*T_plane[:2, 2], height_m]) @ turned
             T = transforms.invert(self._T_level_odom) @ T_level_sensor
             if not any(_is_same(T, other) for other in places):
                 places.append(T)

@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
+from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import GAP_PERIODS, Trajectory
 from ffmap.algorithms.poses.odometry import Registration, doubt
 from ffmap.algorithms.poses.pose_graph import PoseGraph
@@ -144,19 +144,7 @@ class Odometry:
     @property
     def warnings(self) -> list[str]:
         """Which parts of the drive could not be joined to what was seen before, or may be at a wrong place."""
-        found = []
-        first_ns, last_ns = self._clouds_ns[[0, -1]]
-        ends = [*zip(self._stamps, self._numbers, strict=True), (int(last_ns), len(self._clouds_ns))]
-        for (at_ns, number), (next_ns, next_number) in pairwise(ends):
-            clouds = next_number - number - 1
-            if clouds > 1 and next_ns - at_ns > self._gap_ns:
-                part = f"the {(next_ns - at_ns) / 1e9:.1f} s after {(at_ns - first_ns) / 1e9:.1f} s ({clouds} clouds)"
-                found.append(f"{part} could not be joined to the map and are left out: map them from a bag of their own")
-        for (place, why), (until, _) in pairwise([*self._doubts, (len(self._stamps), "")]):
-            at_ns, end_ns = self._stamps[place - 1], ends[until - 1][0]
-            part = f"the {(end_ns - at_ns) / 1e9:.1f} s after {(at_ns - first_ns) / 1e9:.1f} s ({until - place} scans)"
-            found.append(f"{part} could not be joined to the map for certain, and may lie at a wrong place: {why}")
-        return found
+        return unjoined_parts(self._stamps, self._numbers, self._doubts, self._clouds_ns, self._gap_ns)
 
     def _look_up(self, key: str, inputs: Inputs, sensors: Sequence[Sensor]) -> Iterator[_Result] | None:
         # The clouds are read for their digest only where there may be something to find with it.
@@ -192,6 +180,35 @@ class Odometry:
                 f"the odometry cannot be kept in the cache {odometry_cache.cache_folder()} ({writer.failure}); the next run "
                 f"computes it again, unless {odometry_cache.CACHE_VARIABLE} names a folder that can be written"
             )
+
+
+def unjoined_parts(
+    stamps_ns: Sequence[int],
+    numbers: Sequence[int],
+    doubts: Sequence[tuple[int, str]],
+    clouds_ns: IntArray,
+    gap_ns: float,
+) -> list[str]:
+    """Warn of the parts of a drive that have no pose, or one that may be wrong, each with its time from the first cloud.
+
+    stamps_ns, numbers: of the scans with a pose; numbers count in the usable clouds, whose stamps are clouds_ns. doubts: place
+    among these scans of the first one after a gap, and why it may be wrong. gap_ns: what a longer step between poses is.
+    """
+    ends = [*zip(stamps_ns, numbers, strict=True), (int(clouds_ns[-1]), len(clouds_ns))]
+
+    def part(at_ns: int, end_ns: int, count: int) -> str:
+        return f"the {(end_ns - at_ns) / 1e9:.1f} s after {(at_ns - clouds_ns[0]) / 1e9:.1f} s ({count} scans)"
+
+    found = []
+    for (at_ns, number), (next_ns, next_number) in pairwise(ends):
+        count = next_number - number - 1
+        if count > 1 and next_ns - at_ns > gap_ns:
+            lost = f"{part(at_ns, next_ns, count)} could not be joined to the map"
+            found.append(f"{lost} and are left out; to map them, cut them out as a bag of their own")
+    for (place, why), (until, _) in pairwise([*doubts, (len(stamps_ns), "")]):
+        doubtful = part(stamps_ns[place - 1], ends[until - 1][0], until - place)
+        found.append(f"{doubtful} could not be joined to the map for certain, and may lie at a wrong place: {why}")
+    return found
 
 
 def _from_files(files: Sequence[Arrays], clouds: dict[str, str]) -> Iterator[_Result]:

@@ -2,6 +2,7 @@
 
 from ffmap.app.commands.info import describe
 from ffmap.loaders.info import describe_bag, ring_words, time_words
+from ffmap.loaders.scans import gap_problem
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, only, sweep, tf_message, write_bag
 
 
@@ -39,7 +40,11 @@ def test_what_is_missing_is_said(tmp_path):
     info = describe_bag(write_bag(tmp_path / "a.bag", entries))
     assert info.rig is None
     assert "--rig" in info.rig_problem
-    assert info.clouds[0].gaps == [(START_NS + 4 * PERIOD_NS, 16 * PERIOD_NS)]
+    assert info.clouds[0].index.gaps == [(START_NS + 4 * PERIOD_NS, 16 * PERIOD_NS)]
+    (line, _) = [line for line in describe(info) if "gap:" in line]
+    assert line.strip() == f"gap: 1.60 s after {START_NS / 1e9 + 0.4:.3f} (0.4 s from the first cloud)"
+    words = "/a has no clouds for 1.6 s after 0.4 s: how the robot moved in a gap is not known"
+    assert gap_problem(info.clouds[0].index) == words
     text = " ".join(info.missing)
     for part in ("rings on /a", "times on /b", "transforms: several lidars need --rig", "truth"):
         assert part in text
