@@ -4,6 +4,7 @@ Some recordings hold one PointCloud2 for each UDP packet, some 75 a revolution (
 gathered, a new cloud beginning where the azimuth comes round.
 """
 
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import islice
@@ -14,7 +15,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, in
 from ffmap.algorithms.base.trajectory import gaps
 from ffmap.loaders.bag import Bag, Message, RawMessage, Topic
 from ffmap.loaders.cloud_digest import digest_of
-from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.errors import CloudError, InputError, shortened
 from ffmap.loaders.livox import LIVOX_TYPES, livox_cloud
 from ffmap.loaders.ouster import OUSTER_TYPES, OusterDecoder, is_lidars
 from ffmap.loaders.packets import unread_packets
@@ -100,12 +101,21 @@ class CloudIndex:
 @dataclass(frozen=True)
 class SkippedScan:
     """A cloud that gives no scan, and why. stamp_ns: its stamp; where that is wrong, the one beside it that is right: a
-    day ahead would stretch a recording's time.
+    day ahead would stretch a recording's time. trace: of the exception that its data raised; empty where none was raised.
     """
 
     index: int
     stamp_ns: int
     reason: str
+    trace: str = ""
+
+    @classmethod
+    def failed(cls, index: int, stamp_ns: int, error: Exception) -> "SkippedScan":
+        """A cloud whose data raised an exception. Raises it again where another cause is certain: memory, disk, input."""
+        if isinstance(error, MemoryError | OSError | InputError):
+            raise error
+        reason = f"{type(error).__name__}: {shortened(error)}"
+        return cls(index, stamp_ns, reason, "".join(traceback.format_exception(error)))
 
 
 def index_clouds(bag: Bag, topic: str) -> CloudIndex:
@@ -408,6 +418,9 @@ def read_clouds(
             scan = in_canonical_order(decode(message, decoding))
         except CloudError as error:
             yield i, SkippedScan(i, stamp, str(error)), message
+            continue
+        except Exception as error:
+            yield i, SkippedScan.failed(i, stamp, error), message
             continue
         if not scan.cloud_size:
             yield i, SkippedScan(i, stamp, "no points"), message

@@ -1,7 +1,7 @@
 """From horizontal scans to poses by KISS-ICP (paper, IV.A, where it was BLAM); the only file that imports kiss_icp."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -99,6 +99,7 @@ def register_scans(
     refinement: RefinementSettings,
     T_sensor_companion: FloatArray | None = None,
     T_base_sensor: FloatArray | None = None,
+    on_failure: Callable[[int, Scan, Exception], None] | None = None,
 ) -> Iterator[Registration]:
     """Register scans one after another to the map that they build; yields one `Registration` for each that holds a pose.
 
@@ -107,6 +108,7 @@ def register_scans(
     scans: index, scan, and the last scan of the other lidar, if any, that ended before it. A scan that is not later than the
         last pose gets none.
     T_sensor_companion: (4, 4) where the other lidar sits. T_base_sensor: where this one sits; see `Refiner`.
+    on_failure: takes each scan whose registration raised an exception, which has no pose then; None to let it through.
     """
     # Imported here, for a fifth of a second: its settings are asked for everywhere, and scans registered in one process.
     from kiss_icp.kiss_icp import KissICP  # noqa: TID251 - its one place
@@ -135,13 +137,20 @@ def register_scans(
                 odometry.local_map.clear()
         T_prediction = odometry.last_pose @ odometry.last_delta
         stride = -(-len(scan) // settings.points_max)
-        _, keypoints = odometry.register_frame(
-            scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
-        )
-        T_kiss = odometry.last_pose.copy()
-        nan, kept = float("nan"), keypoints.astype(np.float32)
-        unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, nan, kept)
-        refined = refiner.refine(scan, T_kiss, companion, after_gap=periods > 0) if refiner else unrefined
+        try:
+            _, keypoints = odometry.register_frame(
+                scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
+            )
+            T_kiss = odometry.last_pose.copy()
+            nan, kept = float("nan"), keypoints.astype(np.float32)
+            unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, nan, kept)
+            refined = refiner.refine(scan, T_kiss, companion, after_gap=periods > 0) if refiner else unrefined
+        except Exception as error:
+            if on_failure is None:
+                raise
+            on_failure(index, scan, error)
+            stamps_ns.pop()
+            continue
         tried_ns = stamps_ns.pop() if refined is None else None
         if refined is None:
             continue

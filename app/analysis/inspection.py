@@ -102,19 +102,23 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
-    scan = vertical.lidar.seen(scan, poses.registered)
-    level = place_and_level(
-        scan,
-        smooth_ranges(scan, settings.smoothing),
-        poses.registered,
-        vertical.lidar.T_base_sensor,
-        poses.base_height_m,
-        poses.floor_slope,
-        settings.rearrangement,
-        settings.trajectory.level_scan_max_deg,
-    )
-    seed, columns = seed_of(settings.seed, cloud), vertical.lidar.column_pairs
-    labelling = label_scan(scan, level.placed, settings.method, seed, level.floor, columns)
+    try:
+        scan = vertical.lidar.seen(scan, poses.registered)
+        level = place_and_level(
+            scan,
+            smooth_ranges(scan, settings.smoothing),
+            poses.registered,
+            vertical.lidar.T_base_sensor,
+            poses.base_height_m,
+            poses.floor_slope,
+            settings.rearrangement,
+            settings.trajectory.level_scan_max_deg,
+        )
+        seed, columns = seed_of(settings.seed, cloud), vertical.lidar.column_pairs
+        labelling = label_scan(scan, level.placed, settings.method, seed, level.floor, columns)
+    except Exception as error:
+        reason = SkippedScan.failed(number, scan.stamp_ns, error).reason
+        raise InputError(f"--scan {number}: was skipped ({reason}); give another scan") from error
     recorded, file = _recorded_labels(run, number, vertical.lidar.topic, scan.stamp_ns)
     differing = None if recorded is None else _differing(recorded, scan, labelling.label)
     final, wrong = _final(recorded, scan), _wrong(run, number, len(scan))

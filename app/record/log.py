@@ -53,11 +53,9 @@ class Log:
         """What is logged next is of this time, and of this scan."""
         self.stream.reset_time()
         self.stream.set_time(entities.STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
-        time: Time = ((entities.STAMP_TIMELINE, stamp_ns),)
         if index is not None:
             self.stream.set_time(entities.SCAN_TIMELINE, sequence=index)
-            time += ((entities.SCAN_TIMELINE, index),)
-        self._go_to(time)
+        self._go_to(_time(stamp_ns, index))
 
     def at_line(self, line: int) -> None:
         """What is logged next is of this line of the one scan that there is."""
@@ -83,6 +81,10 @@ class Log:
         Each row of an entity has the same components. archetype: what they are of; evidence: arrays beside them.
         """
         self._rows.add(path, () if self.timeless else self._time, archetype, components, evidence)
+
+    def forget(self, stamp_ns: int, index: int) -> None:
+        """Drop the rows that were kept of a scan."""
+        self._rows.drop(_time(stamp_ns, index))
 
     def write_rows(self) -> None:
         """Log all rows that were kept."""
@@ -133,6 +135,11 @@ class Log:
             positions = rounded(np.concatenate(clouds))
             sizes = [len(cloud) for cloud in clouds]
             self.columns(path, stamp_ns, rr.Points3D.columns(positions=positions).partition(sizes))
+
+
+def _time(stamp_ns: int, index: int | None) -> Time:
+    of_scan = () if index is None else ((entities.SCAN_TIMELINE, index),)
+    return ((entities.STAMP_TIMELINE, stamp_ns), *of_scan)
 
 
 @contextmanager

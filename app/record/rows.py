@@ -42,6 +42,11 @@ class Rows:
         """archetype: what the components are of; None where there is evidence alone."""
         self._rows.setdefault((path, archetype), []).append(_Row(time, components, evidence))
 
+    def drop(self, time: Time) -> None:
+        """Keep no row of this time."""
+        kept = {key: [row for row in rows if row.time != time] for key, rows in self._rows.items()}
+        self._rows = {key: rows for key, rows in kept.items() if rows}
+
     def send(self, stream: rr.RecordingStream) -> None:
         """Log all rows into a stream, and keep none."""
         for (path, archetype), rows in self._rows.items():

@@ -107,13 +107,17 @@ def label_block(job: LabelJob) -> BlockSummary:
         for index, place, scan in _read(job, block.digests):
             watch.lap("reading")
             usable = _usable(index, scan, job)
+            if isinstance(usable, Scan):
+                try:
+                    _label(index, place, usable, job, block, log, watch)
+                    block.beyond_range.append(len(scan) - len(usable) if isinstance(scan, Scan) else 0)
+                except Exception as error:
+                    usable = SkippedScan.failed(index, usable.stamp_ns, error)
             if isinstance(usable, SkippedScan):
                 block.skipped.append(usable)
                 if log:
+                    log.forget(usable.stamp_ns, usable.index)
                     log_skipped(log, usable.index, usable.stamp_ns, usable.reason)
-            else:
-                block.beyond_range.append(len(scan) - len(usable) if isinstance(scan, Scan) else 0)
-                _label(index, place, usable, job, block, log, watch)
             watch = _Stopwatch()
     summary = block.summary()
     spool.save(
@@ -164,6 +168,7 @@ class _LabelledBlock:
             T_level_base=np.array([s[3] for s in self.scans]).reshape(-1, 4, 4),
             skipped_scan=np.array([s.index for s in self.skipped], np.int64),
             skipped_reason=tuple(s.reason for s in self.skipped),
+            skipped_trace=tuple(s.trace for s in self.skipped),
             cloud_digest=as_rows([digest for place in sorted(self.digests) for digest in self.digests[place]]),
             digest_lidar=np.repeat(sorted(self.digests), [len(self.digests[place]) for place in sorted(self.digests)]),
             label_counts=self.counts,
@@ -178,7 +183,7 @@ class _LabelledBlock:
 def _label(
     index: int, place: int, scan: Scan, job: LabelJob, block: _LabelledBlock, log: Log | None, watch: _Stopwatch
 ) -> None:
-    """Label one scan, record it, and add to the block what it comes to. place: of its lidar."""
+    """Label one scan, record it, and add to the block what it comes to, all of it or nothing. place: of its lidar."""
     inputs, lidar = job.inputs, job.inputs.verticals[place].lidar
     cloud = int(inputs.scans.cloud[index])
     scan = lidar.seen(scan, job.trajectory)
@@ -191,19 +196,23 @@ def _label(
     seed = seed_of(job.settings.seed, cloud)
     labelling = label_scan(scan, placed, job.settings.method, seed, level.floor, lidar.column_pairs)
     watch.lap("labelling")
-    block.metrics.append(scan_metrics(ranges, labelling, watch.milliseconds))
+    metrics = scan_metrics(ranges, labelling, watch.milliseconds)
+    features = extract_planes(index, placed, labelling)
+    rivals = RivalReturns.of(placed.points_level, labelling, job.settings.rival_maps)
+    spooled = SpooledScan.of(index, scan, placed, labelling, rivals, ray_rows(cloud, labelling))
+    T_level_base = transforms.invert(placed.T_map_level) @ placed.T_map_base
     if log:
         known = any(sensor.lidar.decoding.intensity for sensor in inputs.verticals)
         intensity = NO_INTENSITY if scan.intensity is None and known else scan.intensity
         log_scan(log, index, level, labelling, scan.stamp_ns, inputs.line_pairs, intensity)
         if len(inputs.verticals) > 1:
             log_lidar(log, place, lidar.topic)
-    block.features.append(extract_planes(index, placed, labelling))
-    rivals = RivalReturns.of(placed.points_level, labelling, job.settings.rival_maps)
-    block.spooled.append(SpooledScan.of(index, scan, placed, labelling, rivals, ray_rows(cloud, labelling)))
+    # Nothing below raises: a scan that fails leaves nothing in the block.
+    block.metrics.append(metrics)
+    block.features.append(features)
+    block.spooled.append(spooled)
     counts = np.bincount(labelling.label, minlength=256)
     block.counts[...] += counts
-    T_level_base = transforms.invert(placed.T_map_level) @ placed.T_map_base
     block.scans.append((index, scan.stamp_ns, scan.reference_ns, T_level_base))
     block.sizes.append((scan.cloud_size, len(labelling.label) - int(counts[[Label.FLOOR, Label.CEILING]].sum())))
     watch.lap("recording")
@@ -231,33 +240,44 @@ def place_block(job: PlaceJob) -> None:
     spool.save(job.label.path.with_suffix(spool.PLACED), placed)
 
 
-def finish_block(job: FinishJob) -> None:
-    """Give every return of a block its final label, from where the spool says that it lies; write labels and votes to it."""
+def finish_block(job: FinishJob) -> list[SkippedScan]:
+    """Give every return of a block its final label, from where the spool says that it lies; write labels and votes to it.
+
+    Returns the scans that keep their own labels, because their data raised an exception.
+    """
     own = job.placed.label
     scans = spool.load_scans(own.path.with_suffix(".arrow"))
     relabelling = Relabelling.of(job.building, spool.load_halo(job.halo, own.recording_id), own.settings.relabelling)
     labels: list[UInt8Array] = []
+    failed: list[SkippedScan] = []
     table = VoxelTable(VOXEL_M, len(Label))
     with _open_evidence(own, FINAL_EVIDENCE) as log:
         for scan, T_map_level in zip(scans, job.placed.T_map_level, strict=True):
             points_level, cloud_index = scan.points_level, scan.cloud_index
             points_map = in_map(T_map_level, points_level)
             label_scan = scan.label_cloud[cloud_index]
-            relabelled = relabelling.labels(
-                points_map,
-                # Above the floor that this scan sees: the map's own height drifts.
-                heights_above_pieces(points_level, scan.floor, scan.floor_is_foot),
-                below_ceiling(points_level, scan.ceiling),
-                label_scan,
-                transforms.apply(T_map_level, scan.origin_level[None])[0],
-            )
-            label = relabelled.label
-            if log:
-                log_final(log, scan.scan, scan.stamp_ns, points_level, label_scan, relabelled)
+            try:
+                relabelled = relabelling.labels(
+                    points_map,
+                    # Above the floor that this scan sees: the map's own height drifts.
+                    heights_above_pieces(points_level, scan.floor, scan.floor_is_foot),
+                    below_ceiling(points_level, scan.ceiling),
+                    label_scan,
+                    transforms.apply(T_map_level, scan.origin_level[None])[0],
+                )
+                label = relabelled.label
+                if log:
+                    log_final(log, scan.scan, scan.stamp_ns, points_level, label_scan, relabelled)
+            except Exception as error:
+                failed.append(SkippedScan.failed(scan.scan, scan.stamp_ns, error))
+                label = label_scan
+                if log:
+                    log.forget(scan.stamp_ns, scan.scan)
             table.add(points_map, label)
             labels.append(full_labels(len(scan.label_cloud), cloud_index, label))
     final = {**pack_ragged(spool.LABEL, labels), **pack(table.votes(), spool.VOTES)}
     spool.save(own.path.with_suffix(spool.FINAL), final)
+    return failed
 
 
 def _read(job: LabelJob, digests: dict[int, list[bytes]]) -> Iterator[tuple[int, int, Scan | SkippedScan]]:

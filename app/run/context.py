@@ -1,7 +1,7 @@
 """What every stage of a run has at hand, and what the run gathers for run.json."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,9 +10,10 @@ from ffmap.app.folder.names import RunFolder
 from ffmap.app.progress import Progress
 from ffmap.app.record.log import Log
 from ffmap.app.record.stream import Recording
-from ffmap.app.setup.inputs import Inputs, total_digest
+from ffmap.app.setup.inputs import Inputs, check_failed, total_digest
 from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output
 from ffmap.app.setup.settings import Settings
+from ffmap.loaders.scans import SkippedScan
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class RunState:
     """What a run gathers for run.json.
 
     statistics: Table I of the paper. clouds: the digest of all clouds of each topic that was read to its end, by topic.
+    tracebacks: of the exceptions that scans' data raised, one for each reason.
     labels_digest: see `LabelsWriter.digest`; empty where nothing was labelled. topology: rooms and passages.
     """
 
@@ -45,13 +47,14 @@ class RunState:
     statistics: dict[str, Any] = field(default_factory=dict)
     odometry_cached: bool = False
     clouds: dict[str, str] = field(default_factory=dict)
+    tracebacks: dict[str, str] = field(default_factory=dict)
     labels_digest: str = ""
     topology: dict[str, Any] = field(default_factory=dict)
 
     def gathered(self, record: dict[str, Any]) -> dict[str, Any]:
         """As it stands in run.json; record: what that held at the start."""
         total_s = time.perf_counter() - self.started
-        told = ("counts", "statistics", "warnings", "odometry_cached", "labels_digest", "topology")
+        told = ("counts", "statistics", "warnings", "odometry_cached", "tracebacks", "labels_digest", "topology")
         return {
             "bag": self.bag_as_read(record),
             "timings_s": {name: round(s, 3) for name, s in (self.timings_s | {"total": total_s}).items()},
@@ -83,6 +86,12 @@ class Run:
         """Tell the user now, and again in run.json."""
         self.state.warnings.append(text)
         self.progress.warn(text)
+
+    def keep_failed(self, failed: Sequence[SkippedScan], scans: int, what: str) -> None:
+        """Keep the tracebacks of the scans that failed so far; raises InputError where they are too many."""
+        for scan in failed:
+            self.state.tracebacks.setdefault(scan.reason, scan.trace)
+        check_failed(self.inputs.bag_path, failed, scans, what)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -32,7 +32,7 @@ from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.scans import read_digests, read_scans
+from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
 
 _PER_FILE = 50
 _WAITING = 64
@@ -50,7 +50,7 @@ class _Read:
     clouds: dict[str, str]
 
 
-_Result = Registration | PoseGraph | _Read
+_Result = Registration | SkippedScan | PoseGraph | _Read
 
 
 def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
@@ -103,6 +103,8 @@ class Odometry:
         """None before the end, and where loops are not to be closed."""
         self.clouds: Mapping[str, str] = {}
         """The digest of all clouds of each topic that was read; empty before the end."""
+        self.failed: list[SkippedScan] = []
+        """Scans so far whose registration raised an exception; none from the cache."""
 
     def __iter__(self) -> Iterator[Registration]:
         for result in self._source:
@@ -111,6 +113,8 @@ class Odometry:
                     self.pose_graph = result
                 case _Read():
                     self.clouds = result.clouds
+                case SkippedScan():
+                    self.failed.append(result)
                 case Registration():
                     if (why := doubt(result)) is not None:
                         self._doubts.append((len(self._stamps), why))
@@ -286,12 +290,21 @@ def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[
     scans = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m, digests)
     poses: list[FloatArray] = []
     clouds: list[FloatArray] = []
+    failed: list[SkippedScan] = []
+
+    def fail(index: int, scan: Scan, error: Exception) -> None:
+        failed.append(SkippedScan.failed(index, scan.stamp_ns, error))
+
+    T_base_sensor = sensor.lidar.T_base_sensor
     for registration in register_scans(
-        scans, settings.odometry, settings.refinement, T_sensor_companion, sensor.lidar.T_base_sensor
+        scans, settings.odometry, settings.refinement, T_sensor_companion, T_base_sensor, fail
     ):
+        yield from failed
+        failed.clear()
         yield registration
         poses.append(registration.T_odom_sensor)
         clouds.append(registration.keypoints_sensor)
+    yield from failed
     if settings.pose_graph.enabled:
         yield close_loops(np.array(poses).reshape(-1, 4, 4), clouds, settings.pose_graph)
     with open_bag(inputs.bag_path) as bag:

@@ -22,6 +22,7 @@ from ffmap.app.folder.atomic import written_whole
 from ffmap.app.run.arrays import Arrays, pack_rows, unpack, unpack_ragged, unpack_rows
 from ffmap.app.run.arrays_file import map_arrays, write_arrays
 from ffmap.loaders.pointcloud2 import full_labels
+from ffmap.loaders.scans import SkippedScan
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -129,7 +130,7 @@ class BlockSummary:
 
     scan: (s,) scans that were labelled; stamp_ns: (s,) of their headers.
     reference_ns: (s,) the middle of each sweep; T_level_base: (s, 4, 4) the base there, once the scan is level.
-    skipped: number and reason of each cloud that was not.
+    skipped: number and reason of each cloud that was not, and the trace of what it raised, see `SkippedScan`.
     cloud_digest: (k, 16) uint8 of every message of the block's clouds, skipped ones too, lidar by lidar; digest_lidar: (k,) the
     place of its lidar.
     label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`. metrics: (s, m), see `METRICS`.
@@ -143,6 +144,7 @@ class BlockSummary:
     T_level_base: FloatArray
     skipped_scan: IntArray
     skipped_reason: tuple[str, ...]
+    skipped_trace: tuple[str, ...]
     cloud_digest: UInt8Array
     digest_lidar: IntArray
     label_counts: IntArray
@@ -151,6 +153,13 @@ class BlockSummary:
     points_in_cloud: IntArray
     points_in_lines: IntArray
     beyond_range: IntArray
+
+
+    @property
+    def failed(self) -> list[SkippedScan]:
+        """The clouds whose data raised an exception."""
+        skipped = zip(self.skipped_scan.tolist(), self.skipped_reason, self.skipped_trace, strict=True)
+        return [SkippedScan(index, 0, reason, trace) for index, reason, trace in skipped if trace]
 
 
 def load(kind: "type[_T]", path: Path, prefix: str) -> "_T":

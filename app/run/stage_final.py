@@ -21,9 +21,11 @@ from ffmap.app.run.arrays import pack
 from ffmap.app.run.blocks import FINAL_EVIDENCE, VOXEL_M, FinishJob, PlaceJob, finish_block
 from ffmap.app.run.context import Run
 from ffmap.app.run.spool import FINAL, VOTES, load, load_labels, save
+from ffmap.app.setup.inputs import commonest
 from ffmap.app.setup.outputs import Output
 from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.scans import SkippedScan
 
 
 def finish(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Building, trajectory: Trajectory) -> None:
@@ -52,11 +54,11 @@ def finish(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Build
     run.state.counts["cloud_points"] = len(cloud)
 
 
-def _submit(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Building) -> list[Future[None] | None]:
+def _submit(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Building) -> list[Future[list[SkippedScan]] | None]:
     """The work on each block; None where a run that is resumed has done it."""
     halo = run.folder.spool / "halo.arrow"
     save(halo, pack(building.halo))
-    pending: list[Future[None] | None] = []
+    pending: list[Future[list[SkippedScan]] | None] = []
     for job in jobs:
         done = job.label.path.with_suffix(FINAL).exists() and run.options.resume
         finish = FinishJob(job, building.model, halo)
@@ -65,12 +67,14 @@ def _submit(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Buil
 
 
 def _labels(
-    run: Run, jobs: tuple[PlaceJob, ...], pending: list[Future[None] | None], table: VoxelTable
+    run: Run, jobs: tuple[PlaceJob, ...], pending: list[Future[list[SkippedScan]] | None], table: VoxelTable
 ) -> Iterator[tuple[int, UInt8Array, UInt8Array]]:
     """Number, final label and the scan's own of each cloud, block by block; `table` takes the final votes."""
+    failed: list[SkippedScan] = []
     for job, future in zip(jobs, pending, strict=True):
         if future is not None:
-            future.result()
+            failed += future.result()
+            run.keep_failed(failed, len(run.inputs.scans), "final labelling")
         path = job.label.path
         final_path, evidence = path.with_suffix(FINAL), path.with_suffix(FINAL_EVIDENCE)
         if run.recording is not None and evidence.exists():
@@ -78,3 +82,6 @@ def _labels(
         table.absorb(load(VoxelVotes, final_path, VOTES))
         yield from load_labels(path.with_suffix(".arrow"), final_path)
         run.progress.advance()
+    if failed:
+        why = commonest([scan.reason for scan in failed])
+        run.warn(f"{len(failed)} scans keep the labels that they have alone: final labelling failed ({why})")

@@ -14,7 +14,7 @@ from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE, cache_folder
 from ffmap.app.run.poses import KnownPoses, RunPoses, level_by_first_scans, levelled, shows_level
 from ffmap.app.run.stage_scans import Labeller
-from ffmap.app.setup.inputs import why_skipped
+from ffmap.app.setup.inputs import commonest, why_skipped
 from ffmap.loaders.errors import InputError
 
 _LOGGED_AT_ONCE = 50
@@ -67,6 +67,7 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
     level: Level | None = None
     for registration in odometry:
         registered.append(registration.index)
+        run.keep_failed(odometry.failed, len(sensor.index), "registration")
         if len(odometry) == 1 and run.log:
             # Until the map is level, the base's first pose is.
             log_odometry_frame(run.log, odometry.registered().stamp_ns, sensor.lidar.T_base_sensor[None])
@@ -82,10 +83,12 @@ def _register(run: Run, labeller: Labeller | None) -> tuple[Odometry, Level, lis
         if labeller is not None:
             labeller.go_on(_known(odometry, level))
     weak += _log(run, waiting)
+    run.keep_failed(odometry.failed, len(sensor.index), "registration")
     if not registered:
         raise InputError(f"{run.inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' tells more")
     if unregistered := sorted(set(range(len(sensor.index))) - set(registered)):
-        why = why_skipped(run.inputs.bag_path, sensor, unregistered)
+        reasons = [scan.reason for scan in odometry.failed]
+        why = commonest(reasons) if reasons else why_skipped(run.inputs.bag_path, sensor, unregistered)
         run.warn(f"{len(unregistered)} of {len(sensor.index)} horizontal clouds skipped: {why}")
     if level is None:
         level = level_by_first_scans(run.inputs, odometry.registered(), run.settings)

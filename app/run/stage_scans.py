@@ -138,6 +138,7 @@ class Labeller:
         if run.recording and len(summary.scan):
             run.recording.add(self._jobs[len(self._summaries)].path.with_suffix(".rrd"))
         self._summaries.append(summary)
+        run.keep_failed([s for each in self._summaries for s in each.failed], len(self._scans), "labelling")
         self._unlogged.append(summary)
         if len(self._unlogged) >= (_BLOCKS_TOGETHER if run.options.connect_url is None else 1):
             self._log_metrics()

@@ -164,7 +164,7 @@ def _log_start(run: Run) -> None:
     send_properties(run.log.stream, "run", {name: run.record[name] for name in told if name in run.record})
 
 
-_TOLD_ELSEWHERE = ("statistics", "warnings", "bag")
+_TOLD_ELSEWHERE = ("statistics", "warnings", "bag", "tracebacks")
 """Among the metrics, as a text, and among the properties of the run."""
 
 

@@ -24,6 +24,8 @@ from ffmap.loaders.scans import (
     stamp_problem,
 )
 
+_FAILED_SHARE_MAX = 0.2
+"""Share of the scans that may fail: a few damaged clouds do not matter, and of more the bag or what is said of it is wrong."""
 _REASONS_READ = 50
 _NO_POSE = (
     "its returns are too few, or all in a line, to be registered, its times overlap those of a cloud before it, or it could not "
@@ -172,6 +174,17 @@ def why_skipped(bag_path: BagPath, sensor: Sensor, clouds: Sequence[int]) -> str
             for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
                 reasons.append(scan.reason if isinstance(scan, SkippedScan) else _NO_POSE)
     return commonest(reasons)
+
+
+def check_failed(bag_path: BagPath, failed: Sequence[SkippedScan], scans: int, what: str) -> None:
+    """Raise InputError where so many of the scans failed that the cause is in all of them. what: failed with them."""
+    if len(failed) > _FAILED_SHARE_MAX * scans:
+        why = commonest([scan.reason for scan in failed])
+        count = sum(scan.reason == why for scan in failed)
+        raise InputError(
+            f"{bag_path}: {what} failed for {len(failed)} of {scans} scans so far, {count} times with {why}; check lidars, "
+            f"transforms and poses ('ffmap info {bag_path.words}'); run.json holds the traceback"
+        )
 
 
 def commonest(reasons: Sequence[str]) -> str:
