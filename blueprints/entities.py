@@ -28,6 +28,7 @@ ERROR_LEGEND = "/legend/errors"
 
 WORLD = "/world"
 BASE = "/world/base"
+OWN_BODY = "own_body"  # Below a lidar's own entity in the base's frame
 TRAJECTORY = "/world/trajectory"
 MAP_POINTS = "/world/map/points"
 MAP_CEILING = "/world/map/ceiling"
@@ -264,6 +265,7 @@ OTHER_TRANSITION_COLOR: Color = (170, 170, 170)
 RUN_COLORS: tuple[Color, ...] = ((0, 214, 255), (255, 170, 0), (190, 120, 255), (60, 220, 120), (255, 120, 190))
 FRAME_COLOR: Color = (70, 74, 82)
 TEXT_COLOR: Color = (200, 204, 212)
+OWN_BODY_COLOR: Color = (255, 120, 200)
 TRAJECTORY_COLOR: Color = (0, 214, 255)
 KEYPOINT_COLOR: Color = (255, 196, 0)
 WEAK_COLOR: Color = (255, 70, 70)

@@ -12,6 +12,7 @@ from ffmap.loaders.bag import Bag, Message, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, read_frame_tree
+from ffmap.loaders.own_body import without_own_body
 from ffmap.loaders.packets import unread_packets
 from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig import Rig, find_rig
@@ -87,7 +88,7 @@ def describe_bag(
         tree = read_frame_tree(bag, {c.decoding.layout.frame_id for c in clouds if c.decoding} - {""})
         rig, problem = None, None
         try:
-            rig = find_rig(bag, rig_file, horizontal, verticals, time_from)
+            rig = without_own_body(bag, find_rig(bag, rig_file, horizontal, verticals, time_from))
         except InputError as error:
             # What the bag lacks is what is asked for; what the user says of it has to be right.
             if rig_file is not None or horizontal is not None or verticals:

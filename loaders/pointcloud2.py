@@ -16,7 +16,8 @@ import numpy.typing as npt
 from rosbags.typesys.store import Typestore
 
 from ffmap.algorithms.base.labels import NO_RETURN
-from ffmap.algorithms.base.scan import Echo, FloatArray, IntArray, Scan, UInt8Array
+from ffmap.algorithms.base.own_body import OwnBody
+from ffmap.algorithms.base.scan import Echo, FloatArray, IntArray, Scan, UInt8Array, subset
 from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.dual_returns import PAIRS_MIN, find_echoes
 from ffmap.loaders.errors import CloudError
@@ -65,6 +66,7 @@ class CloudDecoding:
     clock_ns: what is added to the firings' times, where this lidar's clock is off from the other's.
     intensity: the field that tells how strong a return is; None where there is none, or it is the same everywhere.
     dual: whether some firings return twice.
+    own_body: the robot's own body, which scans lack; None where none is known.
     """
 
     layout: CloudLayout
@@ -75,6 +77,7 @@ class CloudDecoding:
     clock_ns: int = 0
     intensity: str | None = None
     dual: bool = False
+    own_body: OwnBody | None = None
 
     @property
     def timed(self) -> bool:
@@ -317,7 +320,7 @@ def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: Int
 
 
 def decode(message: Message, decoding: CloudDecoding) -> Scan:
-    """The cloud as a scan: invalid points dropped, ring and time aligned with what is left.
+    """The cloud as a scan: invalid points and the robot's own body dropped, ring and time aligned with what is left.
 
     A scan without any valid point is returned empty. Raises CloudError where the message contradicts itself.
     """
@@ -326,7 +329,7 @@ def decode(message: Message, decoding: CloudDecoding) -> Scan:
     ring = decoding.rings.rings(points, _numbers(message, layout, decoding.rings, index))
     stamp = stamp_ns(message)
     time_ns, start_ns = _times(message, layout, decoding, points, ring, index, stamp)
-    return Scan(
+    scan = Scan(
         points_sensor=points,
         ring=ring,
         ring_count=decoding.rings.count,
@@ -338,6 +341,7 @@ def decode(message: Message, decoding: CloudDecoding) -> Scan:
         intensity=_intensities(message, layout, decoding, index),
         echo=find_echoes(points, ring, time_ns) if decoding.dual and time_ns is not None else None,
     )
+    return scan if decoding.own_body is None else subset(scan, ~decoding.own_body.holds(points))
 
 
 def _intensities(

@@ -28,6 +28,9 @@ class ScanSettings(StepSettings):
         le=150,
         description="Maximum distance (m) of a return from the lidar: indoors, farther ones are errors.",
     )
+    own_body: bool = Field(
+        True, description="Leave out the robot's own body: returns near the lidar that stay in one place of it all the time."
+    )
 
 
 class Echo(IntEnum):
@@ -87,7 +90,7 @@ class Scan:
 def within_range(scan: Scan, range_max_m: float) -> Scan:
     """The scan without the returns that are farther from the lidar; the very same where there are none."""
     near = _nearer(scan.points_sensor, range_max_m)
-    return scan if near.all() else _rows(scan, near)
+    return scan if near.all() else subset(scan, near)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -124,7 +127,7 @@ def in_canonical_order(scan: Scan) -> Scan:
     if np.any(same[0] & same[1]):
         # What a ray returned twice.
         order = np.lexsort((z, y, x, *keys[::-1]))
-    return scan if np.array_equal(order, np.arange(len(scan))) else _rows(scan, order)
+    return scan if np.array_equal(order, np.arange(len(scan))) else subset(scan, order)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -147,7 +150,7 @@ def _in_order(first: IntArray, second: FloatArray | IntArray) -> bool:  # pragma
     return True
 
 
-def _rows(scan: Scan, rows: BoolArray | IntArray) -> Scan:
+def subset(scan: Scan, rows: BoolArray | IntArray) -> Scan:
     """Some of the returns, or all of them in another order."""
     return replace(
         scan,

@@ -146,7 +146,7 @@ def register_scans(
             unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, nan, kept)
             refined = refiner.refine(scan, T_kiss, companion, after_gap=periods > 0) if refiner else unrefined
         except Exception as error:
-            if on_failure is None:
+            if on_failure is None or isinstance(error, MemoryError | OSError):
                 raise
             on_failure(index, scan, error)
             stamps_ns.pop()
@@ -257,8 +257,11 @@ def doubt(registration: Registration) -> str | None:
 
 
 def _sweep_fraction(scan: Scan) -> FloatArray:
-    """Time of each return from 0 to 1 over the sweep; empty, which leaves motion uncompensated, without times."""
-    if scan.time_ns is None:
+    """Time of each return from 0 to 1 over the sweep; empty, which leaves motion uncompensated, without times.
+
+    KISS-ICP divides by the span of the times, and ends the program where they are all the same.
+    """
+    if scan.time_ns is None or scan.time_ns.min(initial=0) == scan.time_ns.max(initial=0):
         return np.zeros(0)
     return np.asarray(scan.time_ns / max(int(scan.time_ns.max(initial=0)), 1), np.float64)
 

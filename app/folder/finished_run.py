@@ -150,6 +150,7 @@ class FinishedRun:
             topics_said(options.get("vertical")),
             self.time_from,
             mount_corrections(self.record),
+            own_body=self.part("settings").get("scan", {}).get("own_body", False),
         )
 
     @property

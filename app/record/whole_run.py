@@ -8,12 +8,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.own_body import OwnBody
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.app.folder.finished_run import FROM_ODOMETRY
 from ffmap.app.record.curves import log_curve_sheet
 from ffmap.app.record.log import Log
-from ffmap.app.record.shapes import POINT_RADIUS_UI, annotations, transform, ui_radius, words
+from ffmap.app.record.shapes import POINT_RADIUS_UI, annotations, rounded, transform, ui_radius, words
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
@@ -47,6 +48,12 @@ def log_sensors(log: Log, sensors: Mapping[str, FloatArray]) -> None:
     """Where the lidars sit: T_base_sensor (4, 4) by role."""
     for role, T_base_sensor in sensors.items():
         log.static(f"{entities.BASE}/{role}", transform(T_base_sensor), rr.TransformAxes3D(0.3))
+
+
+def log_own_body(log: Log, role: str, body: OwnBody) -> None:
+    """What a lidar sees of the robot itself, which is left out of its scans."""
+    points = rr.Points3D(rounded(body.points_sensor), radii=0.02, colors=entities.OWN_BODY_COLOR)
+    log.static(f"{entities.BASE}/{role}/{entities.OWN_BODY}", points)
 
 
 def log_static(

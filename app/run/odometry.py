@@ -61,6 +61,7 @@ def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
         "stamps": list(digest_stamps(sensors).items()),
         "time_from": sensor.lidar.decoding.time_from,
         "rig": [[s.lidar.T_base_sensor.tolist(), s.lidar.decoding.clock_ns] for s in sensors],
+        "own_body": [None if (b := s.lidar.decoding.own_body) is None else b.voxel.tolist() for s in sensors],
         "kiss_icp": version("kiss-icp"),
         "small_gicp": version("small_gicp"),
         "gtsam": version("gtsam"),

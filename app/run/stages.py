@@ -23,7 +23,7 @@ from ffmap.app.progress import Progress
 from ffmap.app.record.log import Log
 from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.record.stream import Recording, send_properties
-from ffmap.app.record.whole_run import layout, log_static, log_warnings
+from ffmap.app.record.whole_run import layout, log_own_body, log_static, log_warnings
 from ffmap.app.run.context import Run, RunOptions, RunState
 from ffmap.app.run.stage_building import build, draw, take_maps
 from ffmap.app.run.stage_final import finish
@@ -159,6 +159,9 @@ def _log_start(run: Run) -> None:
         return
     slope_max = run.settings.vertical_structures.slope_max
     log_static(run.log, _sensors(run), entities.explain(run.record), run.inputs.line_pairs, slope_max)
+    for role, sensor in run.inputs.by_role.items():
+        if (body := sensor.lidar.decoding.own_body) is not None:
+            log_own_body(run.log, role, body)
     send_properties(run.log.stream, "settings", run.settings.model_dump(mode="json"))
     told = ("settings_hash", "bag", "versions", "started")
     send_properties(run.log.stream, "run", {name: run.record[name] for name in told if name in run.record})
@@ -210,7 +213,12 @@ def first_record(
         "base_frame": inputs.rig.base_frame,
         "mounts_from": inputs.rig.mounts_from,
         "rig": {
-            role: {"topic": s.lidar.topic, "frame": s.lidar.frame_id, "why": s.lidar.reasons}
+            role: {
+                "topic": s.lidar.topic,
+                "frame": s.lidar.frame_id,
+                "why": s.lidar.reasons,
+                "own_body": None if (b := s.lidar.decoding.own_body) is None else b.record,
+            }
             for role, s in inputs.by_role.items()
         },
         "poses_from": given_poses or FROM_ODOMETRY,

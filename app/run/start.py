@@ -66,7 +66,7 @@ class Arguments:
     """Whether a run that is in the folder already may be replaced."""
 
 
-_OF_THE_BAG = tuple(option.name for option in fields(InputOptions) if option.name != "mounts")
+_OF_THE_BAG = tuple(option.name for option in fields(InputOptions) if option.name not in ("mounts", "own_body"))
 _STORED = (*_OF_THE_BAG, "mount", "trajectory", "trajectory_frame", "detail", "outputs", "evaluate")
 """Arguments that run.json keeps, for a run that is resumed."""
 
@@ -146,7 +146,7 @@ def _options(arguments: Arguments) -> RunOptions:
 
 def _find(arguments: Arguments, bag: BagPath, settings: Settings) -> tuple[Inputs, GivenPoses | None]:
     """The bag's lidars, and the poses that were given, if any."""
-    inputs = find_inputs(bag, arguments.bag_options)
+    inputs = find_inputs(bag, replace(arguments.bag_options, own_body=settings.scan.own_body))
     frame = arguments.trajectory_frame
     given = given_poses(arguments.trajectory, inputs, settings, frame)
     if given is None:

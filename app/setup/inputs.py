@@ -11,6 +11,7 @@ from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.numbered import numbered
+from ffmap.loaders.own_body import without_own_body
 from ffmap.loaders.pointcloud2 import TimeFrom
 from ffmap.loaders.rig import Lidar, MountCorrection, Rig, find_rig
 from ffmap.loaders.scan_order import ScanOrder
@@ -45,13 +46,15 @@ class InputOptions:
     """What an earlier look at the bag found of the vertical lidars; not a word of the user's."""
     unplaced: bool = False
     """Whether lidars may be named of which nothing says where they sit; they are put at the base's origin."""
+    own_body: bool = True
+    """Whether the robot's own body is left out; see `ScanSettings`, not a word of the user's about the bag."""
 
     def find_rig(self, bag: Bag) -> Rig:
         """The lidars of an open bag; raises InputError where they cannot be told."""
         rig = find_rig(bag, self.rig, self.horizontal, self.vertical, self.time_from, self.unplaced)
         for mount in self.mounts:
             rig = rig.with_mount(mount)
-        return rig
+        return without_own_body(bag, rig) if self.own_body else rig
 
 
 @dataclass(frozen=True)
