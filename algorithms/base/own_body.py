@@ -72,8 +72,9 @@ _CELLS = round(2 * _HALF_M / _VOXEL_M)
 def find_own_body(clouds: Sequence[FloatArray], T_base_sensor: FloatArray) -> OwnBody | None:
     """The robot's own body by some clouds (n, 3) of one lidar in its frame, spread over the drive; None where there is none.
 
-    The robot has to have moved, see `moves`. Its body is what returns in nearly all clouds, and joins nothing that goes on beyond the reach of a body: so do the floor and
-    the walls of a corridor, which may stay in one place of the robot too. T_base_sensor: (4, 4).
+    It is what returns in nearly all clouds of a robot that moves (see `moves`), and joins nothing that goes on beyond the
+    reach of a body: so do the floor and the walls of a corridor, which may stay in one place of the robot too.
+    T_base_sensor: (4, 4).
     """
     near = [cloud[(np.abs(cloud) < _HALF_M).all(axis=1)] for cloud in clouds]
     occupied, share = np.zeros((_CELLS,) * 3, bool), np.zeros((_CELLS,) * 3, np.float32)
@@ -100,7 +101,7 @@ def find_own_body(clouds: Sequence[FloatArray], T_base_sensor: FloatArray) -> Ow
     # Its foot joins the floor, and is what always returns below it.
     columns = np.unique(_columns(place_base[body]))
     foot = always & ~above & np.isin(_columns(place_base), columns)
-    own = _grown(_grid(voxel[body | foot]))
+    own = _grown(_grid(voxel[body])) | _grid(voxel[foot])
     found = OwnBody(np.argwhere(own).astype(np.int16), 0.0, low_base, high_base)
     held = sum(int(np.count_nonzero(found.holds(cloud))) for cloud in near)
     return replace(found, share=held / sum(map(len, clouds)))
