@@ -1,0 +1,98 @@
+"""The robot's own body in its lidar's clouds: found where it moves, and nothing but it."""
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.own_body import find_own_body, moves
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+
+CLOUDS = 24
+# On its side, looking to the left and right, 0.7 m above the floor.
+T_BASE_SENSOR = transforms.make_transform(
+    Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])), [0.3, 0.0, 0.7]
+)
+ACROSS, AHEAD = (0.25, 0.1), (0.25, 0.0)  # metres along x and y from cloud to cloud
+Box = tuple[tuple[float, ...], tuple[float, ...]]
+ROOM: Box = ((-1.0, -2.5, 0.0), (9.0, 3.5, 2.6))
+CORRIDOR: Box = ((-40.0, -0.8, 0.0), (40.0, 0.8, 2.4))
+CUPBOARDS: tuple[Box, ...] = (
+    ((0.0, 0.7, 0.0), (0.8, 1.3, 1.8)),
+    ((3.0, -1.4, 0.0), (4.0, -0.8, 0.8)),
+    ((6.0, 0.6, 0.0), (6.5, 1.5, 2.6)),
+)
+BODIES: dict[str, Box] = {
+    "plate": ((-0.45, -0.3, 0.05), (0.25, 0.3, 0.45)),
+    "bumper above the floor": ((-0.45, -0.3, 0.05), (0.42, 0.3, 0.2)),
+    "on the floor": ((-0.45, -0.3, 0.0), (0.42, 0.3, 0.3)),
+    "mast of 4 cm": ((0.28, 0.28, 0.3), (0.32, 0.32, 1.6)),
+}
+
+
+def hits(origin: FloatArray, rays: FloatArray, box: Box) -> tuple[FloatArray, FloatArray]:
+    """Distances (n,) at which rays enter a box and leave it."""
+    to_faces = np.stack([(np.array(corner) - origin) / rays for corner in box])
+    return to_faces.min(axis=0).max(axis=1), to_faces.max(axis=0).min(axis=1)
+
+
+@lru_cache
+def clouds(
+    room: Box, step_m: tuple[float, float], body: str | None = None, things: tuple[Box, ...] = CUPBOARDS
+) -> tuple[list[FloatArray], list[BoolArray]]:
+    """Clouds (n, 3) of 16 emitters with 1 cm of noise, a step apart, and which returns are of the body."""
+    generator = np.random.default_rng(1)
+    points, own = [], []
+    for i in range(CLOUDS):
+        azimuth, elevation = np.meshgrid(
+            np.arange(0, 2 * np.pi, np.radians(0.4)) + generator.uniform(0, 0.01), np.radians(np.arange(-15, 16, 2))
+        )
+        rays_sensor = np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+        ).reshape(-1, 3)
+        rays, origin_base = rays_sensor @ T_BASE_SENSOR[:3, :3].T, T_BASE_SENSOR[:3, 3]
+        origin_map = origin_base + (i * np.array([*step_m, 0.0]) - [0.0, 11.5 * step_m[1], 0.0])
+        range_m = hits(origin_map, rays, room)[1]
+        for thing in things:
+            near, far = hits(origin_map, rays, thing)
+            range_m = np.where((near < far) & (near > 0), np.minimum(near, range_m), range_m)
+        held = np.zeros(len(rays), bool)
+        if body is not None:
+            near, far = hits(origin_base, rays, BODIES[body])
+            held = (near < far) & (near > 0) & (near < range_m)
+            range_m = np.where(held, near, range_m)
+        range_m = range_m + generator.normal(0, 0.01, len(range_m))
+        points.append((rays_sensor * range_m[:, None]).astype(np.float32))
+        own.append(held)
+    return points, own
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_what_stays_in_one_place_of_a_robot_that_moves_is_its_body(body: str) -> None:
+    points, own = clouds(ROOM, ACROSS, body)
+    assert moves(points)
+    found = find_own_body(points, T_BASE_SENSOR)
+    assert found is not None
+    held, true = np.concatenate([found.holds(cloud) for cloud in points]), np.concatenate(own)
+    # What of it is as low as the floor is held below its upper part alone.
+    z_base = np.concatenate([transforms.apply(T_BASE_SENSOR, cloud)[:, 2] for cloud in points])
+    assert np.mean(held[true & (z_base > 0.15)]) > 0.99
+    assert np.mean(held[~true]) < 0.03
+    assert found.share == pytest.approx(np.mean(held), abs=1e-3)
+    low, high = BODIES[body]
+    assert np.all(found.low_base > np.array(low) - 0.1)
+    assert np.all(found.high_base < np.array(high) + 0.1)
+
+
+@pytest.mark.parametrize(("room", "step_m"), [(ROOM, ACROSS), (ROOM, AHEAD), (CORRIDOR, AHEAD)])
+def test_floor_walls_and_what_is_passed_are_no_body(room: Box, step_m: tuple[float, float]) -> None:
+    assert find_own_body(clouds(room, step_m)[0], T_BASE_SENSOR) is None
+    assert find_own_body(clouds(room, step_m, things=())[0], T_BASE_SENSOR) is None
+
+
+@pytest.mark.parametrize(("room", "step_m"), [(ROOM, (0.0, 0.0)), (ROOM, (0.02, 0.01)), (CORRIDOR, AHEAD)])
+def test_a_robot_that_stands_or_sees_the_same_all_along_shows_no_body(room: Box, step_m: tuple[float, float]) -> None:
+    assert not moves(clouds(room, step_m, things=())[0])
+    assert not moves(clouds(ROOM, ACROSS)[0][:5])
