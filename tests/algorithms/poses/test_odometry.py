@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,11 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 from ffmap.algorithms.poses.odometry import OdometrySettings, Registration, register_scans, weakness
+<<<<<<< HEAD
 from ffmap.algorithms.poses.refinement import RefinementSettings, Refiner, may_change
+=======
+from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner
+>>>>>>> a5ca568 (Test scans that fail in a block, in a run and in the odometry)
 from tests import synthetic
 
 PERIOD_NS = 100_000_000
@@ -419,3 +424,32 @@ def test_scans_that_hold_no_pose_are_left_out_and_the_others_registered() -> Non
     )
     assert [registration.index for registration in found] == [0, 1, 5]
     assert np.isfinite(found[-1].T_odom_sensor).all()
+
+
+def test_a_scan_whose_times_are_all_the_same_is_registered_as_one_without_times() -> None:
+    """KISS-ICP divides by their span, and ends the whole program."""
+    scans = [synthetic.scan(i, 360) for i in range(4)]
+    scans[2] = replace(scans[2], time_ns=np.zeros(len(scans[2]), np.int64))
+    found = list(
+        register_scans(((i, scan, None) for i, scan in enumerate(scans)), OdometrySettings(), RefinementSettings())
+    )
+    assert [registration.index for registration in found] == [0, 1, 2, 3]
+    assert np.isfinite(found[-1].T_odom_sensor).all()
+
+
+def test_a_scan_whose_registration_fails_has_no_pose_and_spoils_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    scans = [(i, synthetic.scan(i, 360), None) for i in range(5)]
+    usual, failed = Refiner.refine, []
+
+    def refine(self: Refiner, scan: Scan, *more: Any) -> Refinement:
+        if scan is scans[2][1]:
+            raise ValueError("no surface")
+        return usual(self, scan, *more)
+
+    monkeypatch.setattr(Refiner, "refine", refine)
+    steps = OdometrySettings(), RefinementSettings()
+    found = list(register_scans(scans, *steps, on_failure=lambda index, _, error: failed.append((index, str(error)))))
+    assert [registration.index for registration in found] == [0, 1, 3, 4]
+    assert failed == [(2, "no surface")]
+    with pytest.raises(ValueError, match="no surface"):
+        list(register_scans(scans, *steps))

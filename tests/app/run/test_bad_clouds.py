@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Reader, Writer
 
+from ffmap.algorithms.building.final_labels import Relabelling
 from ffmap.app.cli import main
+from ffmap.app.run import blocks
 from ffmap.loaders.bag import Message, make_typestore
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.app.run.test_blocks import failing
 from tests.loaders.bag_builder import CLOUD
 
 VERTICAL, HORIZONTAL = "/vertical_velodyne/velodyne_points", "/horizontal_velodyne/velodyne_points"
@@ -67,6 +70,7 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
         },
     )
     monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(Relabelling, "labels", failing(Relabelling.labels, {2}, ValueError("no face")))
     out = tmp_path / "run"
     words = ["run", bag, "--out", out, "--outputs", "labels,maps", "--no-evaluate", "--quiet", "--workers", "1"]
     monkeypatch.setattr("sys.argv", ["ffmap", *map(str, words)])
@@ -84,5 +88,26 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
         f"1 of {counts['registrations'] + 1} horizontal clouds skipped: {HORIZONTAL}: the cloud is truncated"
         in warnings
     )
+    assert "1 scans keep the labels that they have alone: final labelling failed (ValueError: no face)" in warnings
+    assert "no face" in record["tracebacks"]["ValueError: no face"]
     columns, rows = (int(word) for word in (out / "map.pgm").read_bytes().split(b"\n")[1].split())
     assert columns * rows < 500 * 500
+
+
+def test_a_run_whose_scans_fail_ends_with_one_line_and_keeps_the_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulate(tmp_path / "a.bag", SimulationSettings(building="small", sensor="vlp16", duration_s=1.5))
+    monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(blocks, "label_scan", failing(blocks.label_scan, set(range(99)), ValueError("no wall")))
+    words = ["run", tmp_path / "a.bag", "--out", tmp_path / "run", "--quiet", "--workers", "1"]
+    monkeypatch.setattr("sys.argv", ["ffmap", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert "labelling failed for 4 of" in said
+    assert "4 times with ValueError: no wall" in said
+    record = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert record["outcome"] == "aborted"
+    assert "raise error" in record["tracebacks"]["ValueError: no wall"]
