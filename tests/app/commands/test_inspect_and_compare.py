@@ -35,6 +35,7 @@ from ffmap.blueprints.entities import Fault, LineOutcome
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.app.run.test_blocks import failing
 from tests.program import ffmap, ffmap_here
 
 SCANS = 29
@@ -351,6 +352,12 @@ def test_whichever_file_has_the_labels_they_are_the_same(runs: dict[str, Path], 
     # A scan that is labelled again is compared with them, too.
     again = inspection.label_again(open_run(alone), 3)
     assert (again.differing, again.compared_with) == (0, LABELS)
+
+
+def test_a_scan_that_fails_is_named_with_its_reason(runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inspection, "label_scan", failing(inspection.label_scan, {0}, ValueError("no wall")))
+    with pytest.raises(InputError, match=r"--scan 3: was skipped \(ValueError: no wall\)"):
+        inspection.label_again(open_run(runs["other"]), 3)
 
 
 def test_what_a_run_lacks_is_said_and_the_rest_compared(runs: dict[str, Path], tmp_path: Path) -> None:
