@@ -31,13 +31,8 @@ a millimetre of a kilometre, but half a metre of the northing of a place."""
 _FLOOR_OFF_M = 0.1
 """Distance in metres of the floor from the height 0 of such poses beyond which the steps after this one would not find it."""
 _LEAN_MAX_DEG = 30.0
-<<<<<<< HEAD
 _LEVEL_DEG = 1.0
 """Angle from the upright of the z axis of a sensor's poses beyond which their axes are the sensor's too."""
-=======
-_SWAY_MAX_DEG = 60.0
-"""Angle between the z axes of two poses beyond which z is not the base's axis upwards: a camera's turns with the robot."""
->>>>>>> 17ee67f (Test the robot's own body, and refuse poses whose z axis turns with the robot)
 _JUMP_M, _SPEED_MAX_M_S = 10.0, 100.0
 """Distance in metres and speed of a step between poses beyond which they are of another frame, or not in metres."""
 _GAP_S = 1.0
@@ -129,7 +124,6 @@ def given_poses(
     origin_m = np.round(first) * [1, 1, 0] if np.hypot(*first[:2]) > _FAR_M else np.zeros(3)
     # Wherever the poses lie, the floor below the first of them is looked for near the origin.
     from_first = read.moved(transforms.make_transform(translation=-first))
-    _check_lean(name, from_first, inputs)
     level = level_by_first_scans(inputs, from_first, settings)
     warnings = found.warnings(name, inputs.rig.base_frame)
     lean_deg = float(np.degrees(np.arccos(np.clip(level.T_map_odom[2, 2], -1.0, 1.0))))
@@ -214,23 +208,7 @@ def _check_upright(name: str, lean_deg: float, inputs: Inputs) -> None:
         )
 
 
-<<<<<<< HEAD
 def _read_all_poses(name: str, inputs: Inputs, frame: str) -> Trajectory:
-=======
-def _check_lean(name: str, poses: Trajectory, inputs: Inputs) -> None:
-    """Raises InputError where the z axes of the poses are no robot's upright axis, whatever the first one is."""
-    up = poses.T_map_base[:, :3, 2]
-    sway_deg = np.degrees(np.arccos(np.clip(up @ up[0], -1.0, 1.0)))
-    if sway_deg.max() > _SWAY_MAX_DEG:
-        raise InputError(
-            f"--trajectory {name}: its z axis leans {sway_deg.max():.0f} deg off that of the first pose at "
-            f"{poses.stamp_ns[sway_deg.argmax()] / 1e9:.3f} s; give poses of {inputs.rig.base_frame} with z up, not forward "
-            "as a camera has it"
-        )
-
-
-def _read_all_poses(name: str, inputs: Inputs) -> Trajectory:
->>>>>>> 17ee67f (Test the robot's own body, and refuse poses whose z axis turns with the robot)
     if Path(name).exists():
         return read_tum(Path(name))
     with open_bag(inputs.bag_path) as bag:

@@ -12,11 +12,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 from ffmap.algorithms.poses.odometry import OdometrySettings, Registration, register_scans, weakness
-<<<<<<< HEAD
-from ffmap.algorithms.poses.refinement import RefinementSettings, Refiner, may_change
-=======
-from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner
->>>>>>> a5ca568 (Test scans that fail in a block, in a run and in the odometry)
+from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, may_change
 from tests import synthetic
 
 PERIOD_NS = 100_000_000
