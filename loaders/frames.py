@@ -1,7 +1,8 @@
 """The bag's static transforms, as the tree that /tf_static (or what never changes on /tf) makes."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,6 +14,7 @@ from ffmap.loaders.bag import Bag, Message
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 _SAME = 1e-6
+_SAME_PLACE = 1e-3  # Metres, or radians: what rounding in a robot's description changes, and no mount
 _QUATERNION_MIN = 1e-6
 """The length below which a quaternion is no rotation."""
 _WINDOWS = 20
@@ -30,12 +32,16 @@ class StaticTransform:
 
 
 class FrameTree:
-    """Frames by their parents. Of two transforms to one child the later holds; one that would close a loop is left out."""
+    """Frames by their parents. Of two transforms to one child the later holds; one that would close a loop is left out.
 
-    def __init__(self, edges: Iterable[StaticTransform]) -> None:
+    warnings: what a user must know about the transforms.
+    """
+
+    def __init__(self, edges: Iterable[StaticTransform], warnings: Iterable[str] = ()) -> None:
+        self.warnings = tuple(warnings)
         self._by_child: dict[str, StaticTransform] = {}
         for edge in edges:
-            if edge.child not in self._above(edge.parent):
+            if edge.child not in self.above(edge.parent):
                 self._by_child[edge.child] = edge
 
     @property
@@ -50,13 +56,17 @@ class FrameTree:
 
     def root(self, frame: str) -> tuple[str, FloatArray]:
         """The topmost frame above `frame`, and T_root_frame."""
-        above = self._above(frame)
+        above = self.above(frame)
         T_root_frame = np.eye(4)
         for child in above[:-1]:
             T_root_frame = self._by_child[child].T_parent_child @ T_root_frame
         return above[-1], T_root_frame
 
-    def _above(self, frame: str) -> list[str]:
+    def joins(self, frames: set[str]) -> bool:
+        """Whether it has all of these frames, under one topmost frame."""
+        return len({self.root(frame)[0] for frame in frames}) <= 1 and frames <= set(self.frames)
+
+    def above(self, frame: str) -> list[str]:
         """The frame, its parent, and so on to the topmost."""
         above = [frame]
         while edge := self._by_child.get(above[-1]):
@@ -72,16 +82,50 @@ class FrameTree:
         return np.asarray(transforms.invert(T_root_target) @ T_root_source)
 
 
-def read_frame_tree(bag: Bag, needed: Iterable[str]) -> FrameTree:
-    """The transforms on /tf_static; where they do not join all `needed` frames, those of /tf that never change too."""
-    needed = list(needed)
-    latched, moving = _tf_topics(bag, "tf_static"), _tf_topics(bag, "tf")
-    fixed = [edge for raw in bag.messages(latched) for edge in edges_of(bag.deserialize(raw))] if latched else []
-    tree = FrameTree(fixed)
-    joined = len({tree.root(frame)[0] for frame in needed}) <= 1 and set(needed) <= set(tree.frames)
-    if joined or not moving:
-        return tree
-    return FrameTree([*_unchanging(bag, moving), *fixed])
+def read_frame_tree(bag: Bag, frames: Mapping[str, str]) -> FrameTree:
+    """Read the transforms on /tf_static; where they do not join all frames, those of /tf that never change too.
+
+    frames: the frame of each lidar's topic. Of several namespaces that have transforms, a lidar takes those of its own.
+    """
+    needed = set(frames.values())
+    latched, moving = (_tf_topics(bag, name) for name in ("tf_static", "tf"))
+    tree, fixed = _read_edges(bag, _nearest(latched, frames), _nearest(moving, frames), needed)
+    if not tree.joins(needed) and len(latched) + len(moving) > 1:
+        tree, fixed = _read_edges(bag, latched, moving, needed)
+    used = {frame for start in needed for frame in tree.above(start)}
+    return FrameTree(tree.edges, _contradictions([(name, edge) for name, edge in fixed if edge.child in used]))
+
+
+_Told = list[tuple[str, StaticTransform]]  # Transforms with their topics
+
+
+def _read_edges(bag: Bag, latched: list[str], moving: list[str], needed: set[str]) -> tuple[FrameTree, _Told]:
+    fixed = [(name, edge) for name in latched for raw in bag.messages([name]) for edge in edges_of(bag.deserialize(raw))]
+    edges = [edge for _, edge in fixed]
+    tree = FrameTree(edges)
+    if not tree.joins(needed) and moving:
+        tree = FrameTree([*_unchanging(bag, moving), *edges])
+    return tree, fixed
+
+
+def _contradictions(fixed: _Told) -> Iterator[str]:
+    """One line for each frame that two transforms place differently."""
+    last = {edge.child: (name, edge) for name, edge in fixed}
+    for child, (used, kept) in last.items():
+        others = [(name, edge) for name, edge in fixed if edge.child == child and not _alike(edge, kept)]
+        if others:
+            name, other = others[-1]
+            off_m = float(np.linalg.norm(other.T_parent_child[:3, 3] - kept.T_parent_child[:3, 3]))
+            where = f"in {other.parent}" if other.parent != kept.parent else f"{100 * off_m:.0f} cm away or turned"
+            yield (
+                f"frame {child} has two transforms: {used} places it in {kept.parent}, {name} {where}; the last on {used} is "
+                "used; record one robot's transforms, or pass --rig FILE"
+            )
+
+
+def _alike(edge: StaticTransform, other: StaticTransform) -> bool:
+    same = np.abs(edge.T_parent_child - other.T_parent_child).max() < _SAME_PLACE
+    return edge.parent == other.parent and bool(same)
 
 
 def edges_of(message: Message) -> Iterator[StaticTransform]:
@@ -119,6 +163,21 @@ def _tf_topics(bag: Bag, name: str) -> list[str]:
     """Topics of that name, in whatever namespace."""
     own = [topic for topic in bag.topics.values() if topic.msgtype in TF_TYPES and topic.count]
     return [topic.name for topic in own if topic.name.rsplit("/", 1)[-1] == name]
+
+
+def _nearest(topics: list[str], lidars: Iterable[str]) -> list[str]:
+    """Topics in no namespace, then those whose namespace has most in common with a lidar's topic; else all."""
+    nearest = set[str]()
+    for lidar in lidars:
+        most = max((_shared_levels(topic, lidar) for topic in topics), default=0)
+        nearest |= {topic for topic in topics if 0 < most == _shared_levels(topic, lidar)}
+    return [*(topic for topic in topics if "/" not in topic.strip("/")), *sorted(nearest)] or topics
+
+
+def _shared_levels(topic: str, other: str) -> int:
+    """How many leading names of its namespace a topic shares with another topic."""
+    pairs = zip(topic.strip("/").split("/")[:-1], other.strip("/").split("/"), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 def _unchanging(bag: Bag, topics: list[str]) -> list[StaticTransform]:

@@ -85,7 +85,8 @@ def describe_bag(
     """
     with open_bag(path) as bag:
         clouds = tuple(_describe_cloud(bag, topic, time_from) for topic in cloud_topics(bag))
-        tree = read_frame_tree(bag, {c.decoding.layout.frame_id for c in clouds if c.decoding} - {""})
+        frames = {c.index.topic: c.decoding.layout.frame_id for c in clouds if c.decoding}
+        tree = read_frame_tree(bag, {topic: frame for topic, frame in frames.items() if frame})
         rig, problem = None, None
         try:
             rig = without_own_body(bag, find_rig(bag, rig_file, horizontal, verticals, time_from))

@@ -284,7 +284,7 @@ def _fitting_built_in(
     if len(fitting) != 1 or not chosen <= fitting[0][1].keys():
         return None
     rig, entries = fitting[0]
-    tree = read_frame_tree(bag, [entry.frame for entry in rig.lidars if entry.frame])
+    tree = read_frame_tree(bag, {topic: entry.frame for topic, entry in entries.items() if entry.frame})
     off = _off_from_bag(tree, rig)
     if off is None:
         warnings.append(
@@ -432,7 +432,8 @@ def _place(
 
     first: topic of the lidar that the chosen ones are put at where no transforms join them; None to refuse these.
     """
-    tree = read_frame_tree(bag, {c.frame_id for c in candidates})
+    tree = read_frame_tree(bag, {c.topic: c.frame_id for c in candidates})
+    warnings += tree.warnings
     if described:
         return _place_by_file(candidates, described, entries, tree)
     roots = {c.topic: tree.root(c.frame_id) for c in candidates}
