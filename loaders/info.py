@@ -20,6 +20,7 @@ from ffmap.loaders.scans import (
     CLOUDS_WANTED,
     CloudIndex,
     SkippedScan,
+    check_one_lidar,
     clock_problem,
     cloud_topics,
     index_clouds,
@@ -96,7 +97,8 @@ def describe_bag(
                 raise
             problem = str(error)
         size = sum(map(size_of, bag.path.parts))
-        warnings = (*bag.warnings, *(rig.warnings if rig else ()), *_clock_warnings(rig, clouds))
+        told = rig.warnings if rig else tuple(cloud.problem for cloud in clouds if cloud.problem)
+        warnings = (*bag.warnings, *told, *_clock_warnings(rig, clouds))
         return BagInfo(bag, size, clouds, tree, rig, problem, tuple(_missing(bag, clouds, tree, rig)), warnings)
 
 
@@ -120,6 +122,7 @@ def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
     try:
         messages = sample_messages(bag, index, _SAMPLES)
         decoding = settle_decoding(messages, topic, time_from, index.period_ns)
+        check_one_lidar(index, decoding.time.span_ns if decoding.time else None)
     except CloudError as error:
         problem = str(error)
     counts = _point_counts(messages, decoding) if decoding else []

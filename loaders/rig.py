@@ -25,7 +25,15 @@ from ffmap.loaders.ouster import OUSTER_TYPES, frame_of
 from ffmap.loaders.packets import unread_packets
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
-from ffmap.loaders.scans import CLOUDS_WANTED, CloudIndex, cloud_hint, cloud_topics, index_clouds, sample_messages
+from ffmap.loaders.scans import (
+    CLOUDS_WANTED,
+    CloudIndex,
+    check_one_lidar,
+    cloud_hint,
+    cloud_topics,
+    index_clouds,
+    sample_messages,
+)
 
 _SAMPLES = 8
 _UPRIGHT_DEG = 45.0
@@ -367,6 +375,7 @@ def _candidates(bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list
         try:
             messages = sample_messages(bag, index, _SAMPLES)
             decoding = settle_decoding(messages, topic, time_from, index.period_ns)
+            check_one_lidar(index, decoding.time.span_ns if decoding.time else None)
         except CloudError as error:
             failure = error
             warnings.append(str(error))

@@ -1,10 +1,12 @@
 """From a bag's messages to scans: one cloud a revolution, numbered over the whole bag, read in any slice.
 
 Some recordings hold one PointCloud2 for each UDP packet, some 75 a revolution (Cartographer's backpack): these are
-gathered, a new cloud beginning where the azimuth comes round.
+gathered, a new cloud beginning where the azimuth comes round. Where a driver cuts at half a revolution, or a third, the
+clouds that make up one are gathered by their number.
 """
 
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import islice
@@ -19,15 +21,20 @@ from ffmap.loaders.errors import CloudError, InputError, shortened
 from ffmap.loaders.livox import LIVOX_TYPES, livox_cloud
 from ffmap.loaders.ouster import OUSTER_TYPES, OusterDecoder, is_lidars
 from ffmap.loaders.packets import unread_packets
-from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudDecoding, CloudLayout, decode, describe_layout, merge_clouds
+from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudDecoding, CloudLayout, decode, describe_layout, field_column, merge_clouds
 from ffmap.loaders.velodyne import VELODYNE_TYPE, VelodyneDecoder
 
 CLOUD_TYPES = (CLOUD_TYPE, VELODYNE_TYPE, *LIVOX_TYPES, *OUSTER_TYPES)
 CLOUDS_WANTED = "PointCloud2, packets of a Velodyne or an Ouster, or Livox CustomMsg"
 
-_STAMP_BYTES = 12
+_HEADER_BYTES = 16 + 64  # Up to the frame's name
+_FRAME_SHARE_MIN = 0.05  # Of a topic's clouds; a few odd ones are no second lidar
+_SWEEPS_OVERLAP = 1.5  # Sweeps of one lidar follow each other (1), those of two on one topic overlap (2)
 _PART_NS = 4_000_000  # Clouds that come closer than this are parts of a revolution: no lidar spins at 250 Hz
 _LEAD_POINTS = 32
+_LEADS = 100  # Number of clouds whose first returns show whether they are parts of a revolution
+_LEADS_ALIKE = 0.8  # Minimum mean resultant length of the steps between them; without any order it is near 0
+_SECTORS = 36
 _OUTLIER_PERIODS = 10
 _LOOK_AHEAD = 1000  # Number of following clouds that decide whether the clock was set or one stamp is wrong
 _STRETCH_MIN = 3  # Minimum number of clouds between two leaps of the stamps; fewer are stamped wrongly
@@ -45,6 +52,7 @@ class CloudIndex:
     earlier: (m,) int64, messages of the topic with the very same log time that come before the revolution's first.
     usable: (m,) bool, False where the stamp repeats or jumps back behind that of an earlier cloud, or jumps ahead of
         most that follow.
+    frames: frames that the messages name, without those of a few.
     """
 
     topic: str
@@ -53,6 +61,7 @@ class CloudIndex:
     message_count: IntArray
     earlier: IntArray
     usable: BoolArray
+    frames: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -77,7 +86,7 @@ class CloudIndex:
     def until(self, stop_ns: int) -> "CloudIndex":
         """The clouds before the first one that is stamped at that time or later."""
         count = int(np.argmax(np.append(self.stamp_ns >= stop_ns, True)))
-        arrays = {field.name: getattr(self, field.name)[:count] for field in fields(self) if field.name != "topic"}
+        arrays = {f.name: getattr(self, f.name)[:count] for f in fields(self) if f.name not in ("topic", "frames")}
         return replace(self, **arrays)
 
     @property
@@ -119,7 +128,7 @@ class SkippedScan:
 
 
 def index_clouds(bag: Bag, topic: str) -> CloudIndex:
-    """All clouds of a topic, from the headers of its messages alone.
+    """All clouds of a topic, from the headers and first points of its messages.
 
     Raises InputError where it holds no clouds, and where two files of the bag hold clouds of the same time.
     """
@@ -127,28 +136,52 @@ def index_clouds(bag: Bag, topic: str) -> CloudIndex:
     if found.msgtype not in CLOUD_TYPES:
         raise InputError(f"{bag.path.name}: topic {found.name} is {found.msgtype}, no point cloud; {cloud_hint(bag)}")
     bag.check_recorded_once(found.name)
-    log_time_ns, counts, stamps = _find_revolutions(bag, found)
+    log_time_ns, counts, stamps, frames = _find_revolutions(bag, found)
     first = np.cumsum(counts) - counts
     earlier = np.arange(len(log_time_ns)) - np.searchsorted(log_time_ns, log_time_ns, side="left")
-    return CloudIndex(
+    index = CloudIndex(
         topic=found.name,
         log_time_ns=log_time_ns[first],
         stamp_ns=stamps,
         message_count=counts,
         earlier=earlier[first],
         usable=_usable(stamps, log_time_ns[first]),
+        frames=frames,
     )
+    whole = found.msgtype != CLOUD_TYPE or len(first) < len(log_time_ns)
+    return index if whole else index.gathered(_clouds_a_turn(bag, found.name))
 
 
-def _find_revolutions(bag: Bag, topic: Topic) -> tuple[IntArray, IntArray, IntArray]:
-    """Log times (m,) of a topic's messages; number of messages (r,) and stamp (r,) of each revolution."""
+def _find_revolutions(bag: Bag, topic: Topic) -> tuple[IntArray, IntArray, IntArray, tuple[str, ...]]:
+    """Log times (m,) of a topic's messages; number of messages (r,) and stamp (r,) of each revolution; frames."""
     if topic.msgtype in OUSTER_TYPES:
-        return OusterDecoder(bag, topic.name).index()
-    log_time_ns, stamps = read_stamps(bag, topic.name)
+        return *OusterDecoder(bag, topic.name).index(), ()
+    log_time_ns, stamps, frames = read_headers(bag, topic.name)
     counts: IntArray = np.ones(len(stamps), np.int64)
     if topic.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
         counts = _revolutions(bag, topic.name, stamps)
-    return log_time_ns, counts, stamps[np.cumsum(counts) - counts]
+    return log_time_ns, counts, stamps[np.cumsum(counts) - counts], frames
+
+
+def check_one_lidar(index: CloudIndex, sweep_ns: int | None) -> None:
+    """Raises CloudError where the clouds of a topic are those of two lidars.
+
+    sweep_ns: from the first to the last firing of a cloud; None where that is not known.
+    """
+    fix = "record each lidar on a topic of its own (Livox: multi_topic 1), or split the topic"
+    if len(index.frames) > 1:
+        raise CloudError(
+            f"{index.topic}: two lidars on one topic, its clouds have the frames {' and '.join(index.frames)}; {fix} by frame"
+        )
+    stamps = index.stamp_ns[index.usable]
+    if sweep_ns and len(stamps) > 2:
+        # Of two lidars every other step is short.
+        step_ns = float(np.median(stamps[2:] - stamps[:-2])) / 2
+        if sweep_ns > _SWEEPS_OVERLAP * step_ns:
+            raise CloudError(
+                f"{index.topic}: two lidars on one topic, for its clouds overlap: they take {sweep_ns / 1e6:.0f} ms and begin "
+                f"every {step_ns / 1e6:.0f} ms; {fix}"
+            )
 
 
 def stamp_problem(index: CloudIndex) -> str | None:
@@ -214,16 +247,22 @@ def cloud_hint(bag: Bag) -> str:
     return "; ".join([known, *unread_packets(bag).values()])
 
 
-def read_stamps(bag: Bag, topic: str) -> tuple[IntArray, IntArray]:
-    """Log times and header stamps (m,) of a topic's messages; seconds and nanoseconds lie at bytes 4 to 12 in ROS 1 and in CDR."""
+def read_headers(bag: Bag, topic: str) -> tuple[IntArray, IntArray, tuple[str, ...]]:
+    """Log times and header stamps (m,) of a topic's messages, and the frames of more than a few of them.
+
+    Seconds and nanoseconds are at bytes 4 to 12 in ROS 1 and in CDR, the frame's name follows its length.
+    """
     times_ns, heads = [], []
-    for time_ns, head in bag.heads(topic, _STAMP_BYTES):
+    for time_ns, head in bag.heads(topic, _HEADER_BYTES):
         times_ns.append(time_ns)
-        heads.append(head.ljust(_STAMP_BYTES, b"\0"))
+        heads.append(head.ljust(_HEADER_BYTES, b"\0"))
     # CDR says in its second byte whether it is little-endian; ROS 1 always is.
     little = bag.ros_version == 1 or not heads or heads[0][1] & 1
-    words = np.frombuffer(b"".join(heads), "<u4" if little else ">u4").reshape(-1, 3).astype(np.int64)
-    return np.array(times_ns, np.int64), words[:, 1] * 1_000_000_000 + words[:, 2]
+    words = np.frombuffer(b"".join(heads), "<u4" if little else ">u4").reshape(-1, _HEADER_BYTES // 4).astype(np.int64)
+    frames = Counter(head[16 : 16 + length] for head, length in zip(heads, words[:, 3].tolist(), strict=True))
+    named = [name for name, count in frames.items() if name.strip(b"\0") and count > _FRAME_SHARE_MIN * len(heads)]
+    decoded = sorted({name.split(b"\0")[0].decode(errors="replace").removeprefix("/") for name in named})
+    return np.array(times_ns, np.int64), words[:, 1] * 1_000_000_000 + words[:, 2], tuple(decoded)
 
 
 def _are_parts(stamps: IntArray, log_time_ns: IntArray) -> bool:
@@ -288,15 +327,48 @@ def _revolutions(bag: Bag, topic: str, stamps: IntArray) -> IntArray:
     return np.diff(edges)
 
 
-def _azimuths(bag: Bag, topic: str) -> FloatArray:
-    """Azimuth (m,) in radians of the first return among each message's first points; NaN where there is none."""
+def _clouds_a_turn(bag: Bag, topic: str) -> int:
+    """Number of successive clouds that make up a revolution; 1 where each is one.
+
+    Clouds are parts of a revolution where each sees a part of the directions, and the next begins where it ended.
+    """
+    azimuth = _azimuths(bag, topic, _LEADS)
+    if len(azimuth) < 20:
+        return 1
+    mean = np.mean(np.exp(1j * np.diff(azimuth)))
+    step = abs(float(np.angle(mean))) / (2 * np.pi)
+    if abs(mean) < _LEADS_ALIKE or step < 1 / _SECTORS:
+        return 1
+    seen = float(np.nanmedian([_seen(bag, raw) for raw in islice(bag.messages([topic]), 8)]))
+    # The other way round for a lidar that turns by more than half a revolution.
+    steps = [share for share in (step, 1 - step) if seen < share + 3 / _SECTORS]
+    return max(round(1 / min(steps)), 1) if steps else 1
+
+
+def _seen(bag: Bag, raw: RawMessage) -> float:
+    """Share of the directions about the spin axis that have returns in a cloud; NaN where it is damaged."""
+    try:
+        message = bag.deserialize(raw)
+        layout = describe_layout(message, raw.topic)
+    except InputError:
+        return float("nan")
+    x, y = (field_column(message, layout, axis).astype(np.float64) for axis in "xy")
+    valid = np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
+    sectors = np.floor(np.arctan2(y[valid], x[valid]) / (2 * np.pi) * _SECTORS)
+    return len(np.unique(sectors % _SECTORS)) / _SECTORS
+
+
+def _azimuths(bag: Bag, topic: str, count: int | None = None) -> FloatArray:
+    """Azimuth (m,) in radians of the first return among the first points of each message, or of some from the first on;
+    without a return, that of the message before.
+    """
     found = _first_layout(bag, topic)
     if found is None:
         return np.zeros(bag.topic(topic).count)
     data_at, layout = found
     lead_bytes = _LEAD_POINTS * layout.point_step
     azimuths, heads = [], list[bytes]()
-    for _, head in bag.heads(topic, data_at + lead_bytes):
+    for _, head in islice(bag.heads(topic, data_at + lead_bytes), count):
         heads.append(head[data_at:].ljust(lead_bytes, b"\0"))
         if len(heads) == 4096:
             azimuths.append(_lead_azimuths(heads, layout))

@@ -23,7 +23,7 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import check_features
 from ffmap.loaders.numbered import all_numbered
 from ffmap.loaders.pointcloud2 import describe_layout, field_column, stamp_ns
-from ffmap.loaders.scans import read_stamps
+from ffmap.loaders.scans import read_headers
 from ffmap.loaders.trajectory_file import read_pose_topic
 
 POSE_TOPIC = "/truth/pose"
@@ -55,7 +55,7 @@ class TruthClasses:
     def __init__(self, bag: Bag, topic: str = CLASSES_TOPIC) -> None:
         self.topic = topic
         self._bag = bag
-        log_time_ns, stamp_ns = read_stamps(bag, topic)
+        log_time_ns, stamp_ns, _ = read_headers(bag, topic)
         self._log_time_ns = dict(zip(stamp_ns.tolist(), log_time_ns.tolist(), strict=True))
 
     def __len__(self) -> int:
