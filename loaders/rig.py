@@ -7,7 +7,9 @@ and open wide, among them the one that drives odometry.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args
 
@@ -16,6 +18,7 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory, seen_at_once
+from ffmap.algorithms.poses.which_way_up import LidarView
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.bag_path import BagPath
@@ -25,6 +28,7 @@ from ffmap.loaders.ouster import OUSTER_TYPES, frame_of
 from ffmap.loaders.packets import unread_packets
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
+from ffmap.loaders.rings import on_rings, share_on_rings
 from ffmap.loaders.scans import (
     CLOUDS_WANTED,
     CloudIndex,
@@ -34,12 +38,15 @@ from ffmap.loaders.scans import (
     index_clouds,
     sample_messages,
 )
+from ffmap.loaders.which_way_up import find_upright_base
 
 _SAMPLES = 8
 _UPRIGHT_DEG = 45.0
 _OPENING_MIN_DEG = 55.0  # A column of less shows floor and ceiling together only where a wall is far away
 _EQUAL_WITHIN_DEG = 5.0  # Lidars whose axes differ by less are equally upright: the one that sees more is taken
-_SECTORS = 36
+_VIEW_MIN_DEG = 150.0  # Of a lidar whose turn is half hidden; cameras and solid-state lidars see up to 120
+_LOOKED_AT = 5000  # Points of a cloud
+_ON_RINGS_MIN = 0.875  # Minimum share of the returns near a ring of one lidar; by chance it is a half
 _SCAN_POINTS = 100_000  # of a scan without rings: as many as 128 rings have, a degree's third apart
 _SCAN_MAX_NS = 500_000_000  # In more, people walk on and the robot leaves the room
 _REACH_MAX_M = 100.0
@@ -167,22 +174,43 @@ class Rig:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A topic that could be one of the rig's lidars."""
+    """A topic that could be one of the rig's lidars.
+
+    points: valid ones of a cloud, the median. clouds: some of the points (n, 3) of clouds from all over the bag, in the
+    sensor's frame. ringed: whether they are on rings about the sensor's axis.
+    """
 
     topic: str
     frame_id: str
     stamp_ns: IntArray
     decoding: CloudDecoding
     points: int
-    sectors: float
+    clouds: list[FloatArray]
+    ringed: bool
     roles: tuple[Role, ...] = ()
     T_base_sensor: FloatArray = field(default_factory=lambda: np.eye(4))
 
     @property
-    def worth(self) -> tuple[bool, bool, bool, int]:
-        """Better clouds compare greater: whole turns, times and rings, more points."""
-        rings = self.decoding.rings.source in ("field", "row", "column")
-        return self.sectors >= 0.5, self.decoding.time is not None, rings, self.points
+    def worth(self) -> tuple[bool, bool, bool, bool, int]:
+        """Better clouds compare greater: whole turns, sharp rings, times and numbered rings, more points."""
+        numbered = self.decoding.rings.source in ("field", "row", "column")
+        return self.turns, self.ringed, self.decoding.time is not None, numbered, self.points
+
+    @cached_property
+    def view_deg(self) -> float:
+        """Opening of the cone that holds its directions: a camera's field of view, more than 180 of a turning lidar."""
+        if not self.clouds:
+            return 0.0
+        points = np.concatenate(self.clouds).astype(np.float64)
+        directions = points / np.linalg.norm(points, axis=1)[:, None]
+        middle = directions.mean(axis=0)
+        off = directions @ (middle / max(float(np.linalg.norm(middle)), 1e-12))
+        return 2 * float(np.degrees(np.arccos(np.clip(np.percentile(off, 1), -1.0, 1.0))))
+
+    @property
+    def turns(self) -> bool:
+        """Whether it looks round about."""
+        return self.view_deg >= _VIEW_MIN_DEG
 
     @property
     def tilt_deg(self) -> float:
@@ -247,9 +275,12 @@ def find_rig(
     if described is None and (fitting := _fitting_built_in(bag, candidates, chosen, warnings)):
         described, entries = fitting
         candidates = [c for c in candidates if c.topic in entries]
+    candidates = _lidars_alone(bag, candidates, {*chosen, *entries}, warnings)
     candidates = _one_a_frame(bag, candidates, {*chosen, *entries}, warnings)
     first = asked["horizontal"][0] if unplaced and len(asked) == 2 else None
     candidates, base, edges = _place(bag, candidates, described, entries, chosen, warnings, first)
+    if first is None:
+        candidates, base, edges = _upright(candidates, base, edges, warnings, described is None)
     _check_reach(described.path if described else bag.path, candidates, base)
     drives, sweeping = _roles(candidates, asked, warnings)
     labelled = tuple(map(_gathering, sweeping))
@@ -380,25 +411,61 @@ def _candidates(bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list
             failure = error
             warnings.append(str(error))
             continue
-        points, sectors = _look(messages, decoding)
-        found.append(_Candidate(topic, decoding.layout.frame_id, index.stamp_ns, decoding, points, sectors))
+        points, clouds, ringed = _look(messages, decoding)
+        frame = decoding.layout.frame_id
+        found.append(_Candidate(topic, frame, index.stamp_ns, decoding, points, clouds, ringed))
     if not found:
         raise failure or _no_clouds(bag)
     return found
 
 
-def _look(messages: list[Any], decoding: CloudDecoding) -> tuple[int, float]:
-    """Median number of valid points of a cloud, and the share of directions about the spin axis that have any."""
-    counts, seen = [], np.zeros(_SECTORS, bool)
+def _look(messages: list[Any], decoding: CloudDecoding) -> tuple[int, list[FloatArray], bool]:
+    """Median number of valid points of a cloud, some of them (k, 3) cloud by cloud, and whether most are on rings."""
+    counts, clouds, shares = [], [], []
+    generator = np.random.default_rng(0)
     for message in messages:
-        try:
+        with suppress(CloudError):
             scan = decode(message, decoding)
-        except CloudError:
-            continue
-        counts.append(len(scan))
-        azimuth = np.arctan2(scan.points_sensor[:, 1], scan.points_sensor[:, 0])
-        seen[((azimuth + np.pi) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS] = True
-    return int(np.median(counts)) if counts else 0, float(seen.mean())
+            counts.append(len(scan))
+            some = generator.permutation(len(scan))[:_LOOKED_AT]
+            if len(some):
+                clouds.append(scan.points_sensor[some])
+                shares.append(share_on_rings(clouds[-1], scan.ring[some], decoding.rings))
+    return int(np.median(counts)) if counts else 0, clouds, max(shares, default=0.0) > _ON_RINGS_MIN
+
+
+def _lidars_alone(
+    bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]
+) -> list[_Candidate]:
+    """The candidates without depth cameras, where there is a lidar, and without clouds that were merged of the others'."""
+    turning = [c for c in candidates if c.turns or c.topic in chosen] or candidates
+    kept = [c for c in turning if c.topic in chosen or not _merged_of(bag, c, turning)]
+    for candidate in candidates:
+        if candidate not in turning:
+            warnings.append(
+                f"not used: {candidate.topic} (it looks in one direction, its field of view is {candidate.view_deg:.0f} deg: "
+                f"a depth camera, or no turning lidar); --vertical {candidate.topic} uses it"
+            )
+        elif candidate not in kept:
+            others = " and ".join(c.topic for c in _merged_of(bag, candidate, turning))
+            warnings.append(f"not used: {candidate.topic} (its returns are on the rings of {others}: a merged cloud)")
+    return kept
+
+
+def _merged_of(bag: Bag, merged: _Candidate, candidates: list[_Candidate]) -> list[_Candidate]:
+    """The lidars whose returns, by the rings that these are on, a cloud without rings of its own is merged of."""
+    lidars = [c for c in candidates if c.ringed and c is not merged]
+    if merged.ringed or not lidars:
+        return []
+    tree = read_frame_tree(bag, {c.topic: c.frame_id for c in (merged, *lidars)})
+    placed = [(c, T) for c in lidars if (T := tree.between(c.frame_id, merged.frame_id)) is not None]
+    shares = [
+        float(np.mean(np.any([on_rings(transforms.apply(T, points), c.decoding.rings) for c, T in placed], axis=0)))
+        for points in merged.clouds
+        if placed
+    ]
+    # By chance a return is on a ring of every second lidar.
+    return [c for c, _ in placed] if max(shares, default=0.0) > 1 - 0.5 ** (len(placed) + 1) else []
 
 
 def _unlike(stamps: IntArray, others: IntArray) -> bool:
@@ -407,7 +474,7 @@ def _unlike(stamps: IntArray, others: IntArray) -> bool:
 
 
 def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]) -> list[_Candidate]:
-    """Of several clouds of one sensor (dual returns, filtered copies) the best; depth cameras only where there is no lidar."""
+    """Of several clouds of one sensor (dual returns, filtered copies) the best."""
     best: dict[str, _Candidate] = {}
     for candidate in candidates:
         known = best.get(candidate.frame_id)
@@ -419,12 +486,11 @@ def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warni
         if known is None or (candidate.topic in chosen, candidate.worth) > (known.topic in chosen, known.worth):
             best[candidate.frame_id] = candidate
     kept = [c for c in candidates if c.topic in chosen or best[c.frame_id] is c]
-    turning = [c for c in kept if c.sectors >= 0.5 or c.topic in chosen]
-    kept = turning or kept
-    if dropped := [c.topic for c in candidates if c not in kept]:
-        warnings.append(
-            f"not used: {', '.join(dropped)} (another cloud of the same frame is better, or no full turn is seen)"
-        )
+    warnings += [
+        f"not used: {c.topic} ({best[c.frame_id].topic} is the better cloud of frame {c.frame_id})"
+        for c in candidates
+        if c not in kept
+    ]
     return kept
 
 
@@ -483,6 +549,27 @@ def _place(
             "Give --rig FILE.toml"
         )
     return [replace(c, T_base_sensor=roots[c.topic][1]) for c in together], base, tree.edges
+
+
+def _upright(
+    candidates: list[_Candidate],
+    base: str,
+    edges: tuple[StaticTransform, ...],
+    warnings: list[str],
+    may_change: bool,
+) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
+    """The candidates in a base whose z points up, as the clouds show it."""
+    views = {
+        c.topic: (c.frame_id, LidarView([p @ c.T_base_sensor[:3, :3].T for p in c.clouds], c.T_base_sensor[:3, 3]))
+        for c in candidates
+    }
+    found = find_upright_base(base, FrameTree(edges), views, may_change)
+    if found is None:
+        return candidates, base, edges
+    warnings.append(found.warning)
+    T_new_base = transforms.invert(found.T_base_new)
+    placed = [replace(c, T_base_sensor=T_new_base @ c.T_base_sensor) for c in candidates]
+    return placed, found.frame, (*edges, found.edge) if found.edge else edges
 
 
 def _check_reach(source: Path | BagPath, candidates: list[_Candidate], base: str) -> None:
