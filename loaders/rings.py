@@ -205,9 +205,9 @@ def share_on_rings(points_sensor: FloatArray, ring: IntArray, rings: RingModel) 
 
 
 def on_rings(points_sensor: FloatArray, rings: RingModel) -> BoolArray:
-    """Which of the points (n, 3) are within a quarter of the spacing of a ring, nearer ones than a metre left out."""
-    far = points_sensor[np.einsum("ij,ij->i", points_sensor, points_sensor) > _NEAR_M**2].astype(np.float64)
-    elevation = np.degrees(np.arctan2(far[:, 2], np.hypot(far[:, 0], far[:, 1])))
+    """Which (n,) of the points (n, 3) are within a quarter of the spacing of a ring."""
+    x, y, z = points_sensor.T.astype(np.float64)
+    elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
     return _near(elevation, np.sort(rings.elevation_deg[np.isfinite(rings.elevation_deg)]))
 
 

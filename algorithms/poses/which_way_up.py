@@ -19,6 +19,7 @@ _CLOUDS_MIN = 5
 _LEVEL_SHARE_MIN = 0.01  # Of a cloud's returns; less is no surface
 _SHARE_MIN = 0.05  # Minimum of the denser level; floors reach 0.06 to 0.4, along the heading 0.015 is the most
 _DENSER = 3.0
+_BASE_MAX_M = 0.35  # Height of a base's origin: on the floor, or at the axles
 _ROOM_MIN_M = 2.3  # Where one of the two is not seen, it is as far away as in the lowest room
 
 
@@ -50,9 +51,9 @@ class Levels:
     def overturned(self) -> float:
         """How many times nearer than the surface below the one above is: more than 1 where up is down.
 
-        0 where the base's origin is beside the surface below, for a mast carries the lidar.
+        0 where the base's origin is near the surface below, for a mast carries the lidar.
         """
-        on_mast = self.below_m + self.base_m < (self.above_m - self.base_m) / 2
+        on_mast = abs(self.below_m + self.base_m) < _BASE_MAX_M
         return 0.0 if on_mast else self.below_m / self.above_m
 
 
