@@ -62,10 +62,6 @@ class FrameTree:
             T_root_frame = self._by_child[child].T_parent_child @ T_root_frame
         return above[-1], T_root_frame
 
-    def joins(self, frames: set[str]) -> bool:
-        """Whether it has all of these frames, under one topmost frame."""
-        return len({self.root(frame)[0] for frame in frames}) <= 1 and frames <= set(self.frames)
-
     def above(self, frame: str) -> list[str]:
         """The frame, its parent, and so on to the topmost."""
         above = [frame]
@@ -88,44 +84,29 @@ def read_frame_tree(bag: Bag, frames: Mapping[str, str]) -> FrameTree:
     frames: the frame of each lidar's topic. Of several namespaces that have transforms, a lidar takes those of its own.
     """
     needed = set(frames.values())
-    latched, moving = (_tf_topics(bag, name) for name in ("tf_static", "tf"))
-    tree, fixed = _read_edges(bag, _nearest(latched, frames), _nearest(moving, frames), needed)
-    if not tree.joins(needed) and len(latched) + len(moving) > 1:
-        tree, fixed = _read_edges(bag, latched, moving, needed)
-    used = {frame for start in needed for frame in tree.above(start)}
-    return FrameTree(tree.edges, _contradictions([(name, edge) for name, edge in fixed if edge.child in used]))
-
-
-_Told = list[tuple[str, StaticTransform]]  # Transforms with their topics
-
-
-def _read_edges(bag: Bag, latched: list[str], moving: list[str], needed: set[str]) -> tuple[FrameTree, _Told]:
-    fixed = [(name, edge) for name in latched for raw in bag.messages([name]) for edge in edges_of(bag.deserialize(raw))]
-    edges = [edge for _, edge in fixed]
+    latched, moving = (_tf_topics(bag, name, frames) for name in ("tf_static", "tf"))
+    told = [(name, edge) for name in latched for raw in bag.messages([name]) for edge in edges_of(bag.deserialize(raw))]
+    edges = [edge for _, edge in told]
     tree = FrameTree(edges)
-    if not tree.joins(needed) and moving:
+    if moving and not (len({tree.root(frame)[0] for frame in needed}) <= 1 and needed <= set(tree.frames)):
         tree = FrameTree([*_unchanging(bag, moving), *edges])
-    return tree, fixed
+    used = {frame for start in needed for frame in tree.above(start)}
+    nearest = max((_nearness(name, frames) for name in latched), default=0)
+    own = [(name, edge) for name, edge in told if edge.child in used and _nearness(name, frames) >= min(nearest, 1)]
+    return FrameTree(tree.edges, _contradictions(own))
 
 
-def _contradictions(fixed: _Told) -> Iterator[str]:
-    """One line for each frame that two transforms place differently."""
-    last = {edge.child: (name, edge) for name, edge in fixed}
-    for child, (used, kept) in last.items():
-        others = [(name, edge) for name, edge in fixed if edge.child == child and not _alike(edge, kept)]
-        if others:
-            name, other = others[-1]
-            off_m = float(np.linalg.norm(other.T_parent_child[:3, 3] - kept.T_parent_child[:3, 3]))
-            where = f"in {other.parent}" if other.parent != kept.parent else f"{100 * off_m:.0f} cm away or turned"
-            yield (
-                f"frame {child} has two transforms: {used} places it in {kept.parent}, {name} {where}; the last on {used} is "
-                "used; record one robot's transforms, or pass --rig FILE"
-            )
-
-
-def _alike(edge: StaticTransform, other: StaticTransform) -> bool:
-    same = np.abs(edge.T_parent_child - other.T_parent_child).max() < _SAME_PLACE
-    return edge.parent == other.parent and bool(same)
+def _contradictions(told: list[tuple[str, StaticTransform]]) -> Iterator[str]:
+    """One line for each frame that two transforms, given with their topics, place differently."""
+    for child, (used, kept) in {edge.child: (name, edge) for name, edge in told}.items():
+        for name, edge in told:
+            same = np.abs(edge.T_parent_child - kept.T_parent_child).max() < _SAME_PLACE
+            if edge.child == child and not (same and edge.parent == kept.parent):
+                yield (
+                    f"two transforms place {child} differently, on {name} in {edge.parent} and on {used} in {kept.parent}; "
+                    f"the last on {used} is used. Record one robot's transforms, or pass --rig FILE"
+                )
+                break
 
 
 def edges_of(message: Message) -> Iterator[StaticTransform]:
@@ -159,25 +140,19 @@ def pose_matrices(translation: FloatArray, quaternion_xyzw: FloatArray) -> tuple
     return T, sound
 
 
-def _tf_topics(bag: Bag, name: str) -> list[str]:
-    """Topics of that name, in whatever namespace."""
-    own = [topic for topic in bag.topics.values() if topic.msgtype in TF_TYPES and topic.count]
-    return [topic.name for topic in own if topic.name.rsplit("/", 1)[-1] == name]
+def _tf_topics(bag: Bag, name: str, lidars: Iterable[str]) -> list[str]:
+    """Topics of that name in whatever namespace, those that are nearest to the lidars' last."""
+    own = [topic.name for topic in bag.topics.values() if topic.msgtype in TF_TYPES and topic.count]
+    named = [topic for topic in own if topic.rsplit("/", 1)[-1] == name]
+    return sorted(named, key=lambda topic: _nearness(topic, lidars))
 
 
-def _nearest(topics: list[str], lidars: Iterable[str]) -> list[str]:
-    """Topics in no namespace, then those whose namespace has most in common with a lidar's topic; else all."""
-    nearest = set[str]()
-    for lidar in lidars:
-        most = max((_shared_levels(topic, lidar) for topic in topics), default=0)
-        nearest |= {topic for topic in topics if 0 < most == _shared_levels(topic, lidar)}
-    return [*(topic for topic in topics if "/" not in topic.strip("/")), *sorted(nearest)] or topics
-
-
-def _shared_levels(topic: str, other: str) -> int:
-    """How many leading names of its namespace a topic shares with another topic."""
-    pairs = zip(topic.strip("/").split("/")[:-1], other.strip("/").split("/"), strict=False)
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+def _nearness(topic: str, lidars: Iterable[str]) -> int:
+    """How much of a topic's namespace is that of a lidar: 1 where it has none, 0 where it is another robot's."""
+    *namespace, _ = topic.strip("/").split("/")
+    paths = [zip(namespace, lidar.strip("/").split("/"), strict=False) for lidar in lidars]
+    shared = [sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], path)) for path in paths]
+    return 1 + max(shared, default=0) if not namespace or any(shared) else 0
 
 
 def _unchanging(bag: Bag, topics: list[str]) -> list[StaticTransform]:

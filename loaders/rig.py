@@ -18,7 +18,6 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory, seen_at_once
-from ffmap.algorithms.poses.which_way_up import LidarView
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.bag_path import BagPath
@@ -28,7 +27,7 @@ from ffmap.loaders.ouster import OUSTER_TYPES, frame_of
 from ffmap.loaders.packets import unread_packets
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
-from ffmap.loaders.rings import on_rings, share_on_rings
+from ffmap.loaders.rings import on_rings
 from ffmap.loaders.scans import (
     CLOUDS_WANTED,
     CloudIndex,
@@ -38,7 +37,7 @@ from ffmap.loaders.scans import (
     index_clouds,
     sample_messages,
 )
-from ffmap.loaders.which_way_up import find_upright_base
+from ffmap.loaders.which_way_up import LidarView, find_upright_base
 
 _SAMPLES = 8
 _UPRIGHT_DEG = 45.0
@@ -176,8 +175,7 @@ class Rig:
 class _Candidate:
     """A topic that could be one of the rig's lidars.
 
-    points: valid ones of a cloud, the median. clouds: some of the points (n, 3) of clouds from all over the bag, in the
-    sensor's frame. ringed: whether they are on rings about the sensor's axis.
+    points: valid ones of a cloud, the median. clouds: some points (n, 3) of each of several clouds, in the sensor's frame.
     """
 
     topic: str
@@ -186,26 +184,29 @@ class _Candidate:
     decoding: CloudDecoding
     points: int
     clouds: list[FloatArray]
-    ringed: bool
     roles: tuple[Role, ...] = ()
     T_base_sensor: FloatArray = field(default_factory=lambda: np.eye(4))
 
     @property
-    def worth(self) -> tuple[bool, bool, bool, bool, int]:
-        """Better clouds compare greater: whole turns, sharp rings, times and numbered rings, more points."""
-        numbered = self.decoding.rings.source in ("field", "row", "column")
-        return self.turns, self.ringed, self.decoding.time is not None, numbered, self.points
+    def worth(self) -> tuple[bool, bool, bool, int]:
+        """Better clouds compare greater: whole turns, times and rings, more points."""
+        rings = self.decoding.rings.source in ("field", "row", "column")
+        return self.turns, self.decoding.time is not None, rings, self.points
 
     @cached_property
     def view_deg(self) -> float:
         """Opening of the cone that holds its directions: a camera's field of view, more than 180 of a turning lidar."""
-        if not self.clouds:
-            return 0.0
-        points = np.concatenate(self.clouds).astype(np.float64)
-        directions = points / np.linalg.norm(points, axis=1)[:, None]
-        middle = directions.mean(axis=0)
+        points = np.concatenate([np.zeros((0, 3)), *self.clouds])
+        directions = points / np.linalg.norm(points, axis=1, keepdims=True)
+        middle = directions.sum(axis=0)
         off = directions @ (middle / max(float(np.linalg.norm(middle)), 1e-12))
-        return 2 * float(np.degrees(np.arccos(np.clip(np.percentile(off, 1), -1.0, 1.0))))
+        return 2 * float(np.degrees(np.arccos(np.clip(np.percentile(off, 1), -1.0, 1.0)))) if len(off) else 0.0
+
+    @cached_property
+    def ringed(self) -> bool:
+        """Whether its returns are on rings about its own axis."""
+        shares = [float(np.mean(on_rings(points, self.decoding.rings))) for points in self.clouds]
+        return max(shares, default=0.0) > _ON_RINGS_MIN
 
     @property
     def turns(self) -> bool:
@@ -411,61 +412,54 @@ def _candidates(bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list
             failure = error
             warnings.append(str(error))
             continue
-        points, clouds, ringed = _look(messages, decoding)
-        frame = decoding.layout.frame_id
-        found.append(_Candidate(topic, frame, index.stamp_ns, decoding, points, clouds, ringed))
+        points, clouds = _look(messages, decoding)
+        found.append(_Candidate(topic, decoding.layout.frame_id, index.stamp_ns, decoding, points, clouds))
     if not found:
         raise failure or _no_clouds(bag)
     return found
 
 
-def _look(messages: list[Any], decoding: CloudDecoding) -> tuple[int, list[FloatArray], bool]:
-    """Median number of valid points of a cloud, some of them (k, 3) cloud by cloud, and whether most are on rings."""
-    counts, clouds, shares = [], [], []
-    generator = np.random.default_rng(0)
+def _look(messages: list[Any], decoding: CloudDecoding) -> tuple[int, list[FloatArray]]:
+    """Median number of valid points of a cloud, and some of them (k, 3) of each cloud that has any."""
+    clouds = []
     for message in messages:
         with suppress(CloudError):
-            scan = decode(message, decoding)
-            counts.append(len(scan))
-            some = generator.permutation(len(scan))[:_LOOKED_AT]
-            if len(some):
-                clouds.append(scan.points_sensor[some])
-                shares.append(share_on_rings(clouds[-1], scan.ring[some], decoding.rings))
-    return int(np.median(counts)) if counts else 0, clouds, max(shares, default=0.0) > _ON_RINGS_MIN
+            clouds.append(decode(message, decoding).points_sensor)
+    draw = np.random.default_rng(0)
+    some = [points[draw.permutation(len(points))[:_LOOKED_AT]] for points in clouds if len(points)]
+    return int(np.median([len(points) for points in clouds])) if clouds else 0, some
 
 
-def _lidars_alone(
-    bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]
-) -> list[_Candidate]:
+def _lidars_alone(bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]) -> list[_Candidate]:
     """The candidates without depth cameras, where there is a lidar, and without clouds that were merged of the others'."""
-    turning = [c for c in candidates if c.turns or c.topic in chosen] or candidates
-    kept = [c for c in turning if c.topic in chosen or not _merged_of(bag, c, turning)]
-    for candidate in candidates:
-        if candidate not in turning:
+    kept = turning = [c for c in candidates if c.turns or c.topic in chosen] or candidates
+    for c in candidates:
+        if c not in turning:
             warnings.append(
-                f"not used: {candidate.topic} (it looks in one direction, its field of view is {candidate.view_deg:.0f} deg: "
-                f"a depth camera, or no turning lidar); --vertical {candidate.topic} uses it"
+                f"not used: {c.topic} (a depth camera or no turning lidar, its field of view is {c.view_deg:.0f} deg); "
+                f"--vertical {c.topic} uses it"
             )
-        elif candidate not in kept:
-            others = " and ".join(c.topic for c in _merged_of(bag, candidate, turning))
-            warnings.append(f"not used: {candidate.topic} (its returns are on the rings of {others}: a merged cloud)")
+        elif c.topic not in chosen and (lidars := _merged_of(bag, c, turning)):
+            kept = [other for other in kept if other is not c]
+            warnings.append(f"not used: {c.topic} (a merged cloud, its returns are on the rings of {' and '.join(lidars)})")
     return kept
 
 
-def _merged_of(bag: Bag, merged: _Candidate, candidates: list[_Candidate]) -> list[_Candidate]:
-    """The lidars whose returns, by the rings that these are on, a cloud without rings of its own is merged of."""
-    lidars = [c for c in candidates if c.ringed and c is not merged]
-    if merged.ringed or not lidars:
+def _merged_of(bag: Bag, merged: _Candidate, candidates: list[_Candidate]) -> list[str]:
+    """The topics on whose lidars' rings the returns of a cloud without rings of its own are; none where they are not."""
+    if len(candidates) == 1 or merged.ringed:
         return []
+    lidars = [c for c in candidates if c.ringed]
     tree = read_frame_tree(bag, {c.topic: c.frame_id for c in (merged, *lidars)})
     placed = [(c, T) for c in lidars if (T := tree.between(c.frame_id, merged.frame_id)) is not None]
-    shares = [
-        float(np.mean(np.any([on_rings(transforms.apply(T, points), c.decoding.rings) for c, T in placed], axis=0)))
+    on = [
+        [on_rings(transforms.apply(T, points), c.decoding.rings) for c, T in placed]
         for points in merged.clouds
         if placed
     ]
+    share = max((float(np.mean(np.any(rings, axis=0))) for rings in on), default=0.0)
     # By chance a return is on a ring of every second lidar.
-    return [c for c, _ in placed] if max(shares, default=0.0) > 1 - 0.5 ** (len(placed) + 1) else []
+    return [c.topic for c, _ in placed] if share > 1 - 0.5 ** (len(placed) + 1) else []
 
 
 def _unlike(stamps: IntArray, others: IntArray) -> bool:
@@ -559,15 +553,12 @@ def _upright(
     may_change: bool,
 ) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
     """The candidates in a base whose z points up, as the clouds show it."""
-    views = {
-        c.topic: (c.frame_id, LidarView([p @ c.T_base_sensor[:3, :3].T for p in c.clouds], c.T_base_sensor[:3, 3]))
-        for c in candidates
-    }
+    views = [LidarView(c.topic, c.frame_id, c.clouds, c.T_base_sensor) for c in candidates]
     found = find_upright_base(base, FrameTree(edges), views, may_change)
     if found is None:
         return candidates, base, edges
     warnings.append(found.warning)
-    T_new_base = transforms.invert(found.T_base_new)
+    T_new_base = transforms.invert(found.T_base_frame)
     placed = [replace(c, T_base_sensor=T_new_base @ c.T_base_sensor) for c in candidates]
     return placed, found.frame, (*edges, found.edge) if found.edge else edges
 

@@ -24,7 +24,6 @@ _BIN_DEG = 0.01
 _SWAP_DEG = 0.2  # Neighbouring rings whose elevations differ by less may be out of order by noise alone
 _FEW = 100  # So few returns cannot tell whether a number keeps its elevation
 _SLICE_DEG = 0.45  # Of the lidars that are labelled, rings stand 0.3 to 1.6 degrees apart
-_OFF_RING_DEG = 3.0  # By which the emitters' offset from the origin turns the elevation of a return at a metre
 _NEAR_M = 1.0  # Nearer returns are left out of the estimate: the emitters' offset from the origin turns their elevation
 
 
@@ -196,14 +195,6 @@ def _true_peaks(smooth: FloatArray) -> IntArray:
     return kept
 
 
-def share_on_rings(points_sensor: FloatArray, ring: IntArray, rings: RingModel) -> float:
-    """Share of the points (n, 3) that are where their ring (n,) is; without numbers, near any ring."""
-    if rings.source in ("elevation", "bins"):
-        return float(np.mean(on_rings(points_sensor, rings)))
-    x, y, z = points_sensor.T.astype(np.float64)
-    return float(np.mean(np.abs(np.degrees(np.arctan2(z, np.hypot(x, y))) - rings.elevation_deg[ring]) < _OFF_RING_DEG))
-
-
 def on_rings(points_sensor: FloatArray, rings: RingModel) -> BoolArray:
     """Which (n,) of the points (n, 3) are within a quarter of the spacing of a ring."""
     x, y, z = points_sensor.T.astype(np.float64)
@@ -212,12 +203,11 @@ def on_rings(points_sensor: FloatArray, rings: RingModel) -> BoolArray:
 
 
 def _share_near(elevation: FloatArray, centres: FloatArray) -> float:
-    """The share of points near a centre; 0.5 would be chance."""
+    """The share of points within a quarter of the spacing of a centre; 0.5 would be chance."""
     return float(np.mean(_near(elevation, centres)))
 
 
 def _near(elevation: FloatArray, centres: FloatArray) -> BoolArray:
-    """Which elevations are within a quarter of the spacing of a centre."""
     edges = (centres[1:] + centres[:-1]) / 2
     nearest = np.searchsorted(edges, elevation)
     gaps = np.diff(centres)

@@ -21,7 +21,15 @@ from ffmap.loaders.errors import CloudError, InputError, shortened
 from ffmap.loaders.livox import LIVOX_TYPES, livox_cloud
 from ffmap.loaders.ouster import OUSTER_TYPES, OusterDecoder, is_lidars
 from ffmap.loaders.packets import unread_packets
-from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudDecoding, CloudLayout, decode, describe_layout, field_column, merge_clouds
+from ffmap.loaders.pointcloud2 import (
+    CLOUD_TYPE,
+    CloudDecoding,
+    CloudLayout,
+    decode,
+    describe_layout,
+    field_column,
+    merge_clouds,
+)
 from ffmap.loaders.velodyne import VELODYNE_TYPE, VelodyneDecoder
 
 CLOUD_TYPES = (CLOUD_TYPE, VELODYNE_TYPE, *LIVOX_TYPES, *OUSTER_TYPES)

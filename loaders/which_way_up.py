@@ -1,81 +1,86 @@
 """The base's frame made upright where the clouds contradict the transforms."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.poses.which_way_up import LidarView, find_levels
+from ffmap.algorithms.poses.which_way_up import find_levels, upright_axis
 from ffmap.loaders.frames import FrameTree, StaticTransform
 
 _ALONG = 0.9  # Minimum cosine between a frame's axis and the upright one
-_OVERTURNED = 1.5  # Times the floor must be nearer than the ceiling: a lidar above 60 % of the room's height is rare
-_DOUBTFUL = 4 / 3
+_OVERTURNED = 1.5  # Times nearer than the ceiling the floor must be: a lidar above 60 % of a room's height is rare
+_DOUBTFUL = 4 / 3  # The same where a frame's z contradicts the base's, and for a warning
+_BASE_MAX_M = 0.35  # Height of a base's origin: on the floor, or at the axles
+_HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class LidarView:
+    """What a lidar saw during a drive. clouds: points (n, 3) in its own frame. T_base_sensor: (4, 4)."""
+
+    topic: str
+    frame_id: str
+    clouds: Sequence[FloatArray]
+    T_base_sensor: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class UprightBase:
-    """A frame to be the base. T_base_new: (4, 4). edge: the static transform that makes it, where no frame is upright.
+    """A frame to be the base. T_base_frame: (4, 4), from the old base. edge: what makes it, where it is a new frame.
 
     warning: what was found; `frame` is the old base where it could not be changed.
     """
 
     frame: str
-    T_base_new: FloatArray
+    T_base_frame: FloatArray
     edge: StaticTransform | None
     warning: str
 
 
 def find_upright_base(
-    base: str, tree: FrameTree, lidars: Mapping[str, tuple[str, LidarView]], may_change: bool
+    base: str, tree: FrameTree, lidars: Sequence[LidarView], may_change: bool
 ) -> UprightBase | None:
     """The frame to be the base in place of `base`; None where the clouds do not contradict that its z points up.
 
-    lidars: frame and view of each topic. may_change: whether the frame may be another one.
+    may_change: whether the frame may be another one.
     """
-    topics = list(lidars)
-    T_of = {base: np.eye(4)}
-    chains = [tree.above(frame)[::-1] for frame, _ in lidars.values()]
-    for frame in sorted({frame for chain in chains for frame in chain}, key=lambda f: len(tree.above(f))):
-        T_base_frame = tree.between(base, frame)
-        if T_base_frame is not None:
-            T_of.setdefault(frame, T_base_frame)
+    above = {frame for lidar in lidars for frame in tree.above(lidar.frame_id)}
+    frames = [base, *sorted(above - {base}, key=lambda frame: (len(tree.above(frame)), frame))]
+    T_of = {frame: T for frame in frames if (T := tree.between(base, frame)) is not None}
     axes = np.array([T[:3, 2] for T in T_of.values()])
-    found = find_levels([view for _, view in lidars.values()], axes)
-    if found is None:
+    densest = [
+        max(
+            ((find_levels([p @ each.T_base_sensor[:3, :3].T for p in each.clouds], axis), each) for each in lidars),
+            key=lambda found: found[0].share,
+        )
+        for axis in axes
+    ]
+    place = upright_axis([levels for levels, _ in densest])
+    if place is None:
         return None
-    place, levels = found
-    doubted = bool(np.any(axes @ axes[place] < -_ALONG))
-    overturned = levels.overturned >= (_DOUBTFUL if doubted else _OVERTURNED)
-    up = -axes[place] if overturned else axes[place]
-    if up[2] > _ALONG and (overturned or levels.overturned < _DOUBTFUL):
+    (levels, lidar), axis = densest[place], axes[place]
+    ratio = levels.below_m / levels.above_m
+    if abs(levels.below_m - float(axis @ lidar.T_base_sensor[:3, 3])) < _BASE_MAX_M:
+        # The base is on the floor, and a mast carries the lidar.
+        ratio = 0.0
+    overturned = ratio >= (_DOUBTFUL if np.any(axes @ axis < -_ALONG) else _OVERTURNED)
+    up = -axis if overturned else axis
+    if (up[2] > _ALONG and ratio < _DOUBTFUL) or (up[2] > _ALONG and overturned):
         return None
     near_m, far_m = sorted((levels.below_m, levels.above_m))
-    where = f"{topics[levels.lidar]} is {near_m:.1f} m from a level surface and {far_m:.1f} m from the opposite one"
+    seen = f"{lidar.topic} is {near_m:.1f} m from a level surface and {far_m:.1f} m from the opposite one"
     if up[2] > _ALONG or not may_change:
-        way = "upside down" if abs(up[2]) > _ALONG else "on its side"
-        return UprightBase(
-            base, np.eye(4), None, f"{base} may be {way}: {where}; check its transforms, or pass --rig FILE"
-        )
+        warning = f"z of {base} may not point up: {seen}; check the transforms, or pass --rig FILE"
+        return UprightBase(base, np.eye(4), None, warning)
     side = "down" if up[2] < -_ALONG else "sideways"
-    said = f"z of {base} points {side}: {where}, the nearer one is the floor;"
+    said = f"z of {base} points {side}: {seen}, and the nearer one is the floor. The base frame is now"
     for frame, T in T_of.items():
         if T[:3, 2] @ up > _ALONG:
-            return UprightBase(frame, T, None, f"{said} {frame} is the base instead; --rig FILE overrules that")
-    T_base_new = np.eye(4)
-    T_base_new[:3, :3] = _turned(up)
-    frame = f"{base or 'lidar'}_upright"
-    words = f"{said} the base is {frame}, {base or 'the lidar'} turned upright; --rig FILE overrules that"
-    return UprightBase(frame, T_base_new, StaticTransform(base, frame, T_base_new), words)
-
-
-def _turned(up: FloatArray) -> FloatArray:
-    """The rotation (3, 3) whose z is `up`, by the shortest way; half a turn is one about x."""
-    if up[2] < -_ALONG:
-        half = np.diag([1.0, -1.0, -1.0])
-        return np.asarray(half @ _turned(half @ up))
-    axis = np.cross([0.0, 0.0, 1.0], up)
-    length = float(np.linalg.norm(axis))
-    return np.asarray(Rotation.from_rotvec(axis / max(length, 1e-12) * np.arctan2(length, up[2])).as_matrix())
+            return UprightBase(frame, T, None, f"{said} {frame}; --rig FILE overrules that")
+    turned = list(T_of)[place]
+    T_base_new = T_of[turned] @ _HALF_TURN
+    new = f"{turned or 'lidar'}_upright"
+    warning = f"{said} {new}, half a turn from {turned or 'the lidar'}; --rig FILE overrules that"
+    return UprightBase(new, T_base_new, StaticTransform(turned, new, _HALF_TURN), warning)
