@@ -11,22 +11,21 @@ from heapq import merge
 from itertools import combinations, pairwise
 from operator import itemgetter
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, Literal, Self, TypeAlias, TypeVar
 
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat, Nodetype
 from rosbags.rosbag1 import Reader as Ros1Reader
-from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.message_heads import Reader, read_heads
-from ffmap.loaders.recovery import RecoveredMcapReader, RecoveredRos1Reader
+from ffmap.loaders.recovery import AnyProfileMcapReader, RecoveredMcapReader, RecoveredRos1Reader
+from ffmap.loaders.sqlite_wal import SqliteReader
 from ffmap.loaders.text_files import require_regular
 
 Container = Literal["ros1", "sqlite3", "mcap"]
@@ -34,6 +33,8 @@ Message: TypeAlias = Any  # A message as an object of rosbags: its attributes ar
 _T = TypeVar("_T")
 
 _MAGIC: Mapping[bytes, Container] = {b"#ROSBAG V": "ros1", b"\x89MCAP0\r\n": "mcap", b"SQLite format 3\0": "sqlite3"}
+_SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
+_NAMED_MAX = 5
 _WAYS_OUT = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
 
 _GAP_NS = 1_000_000_000
@@ -85,6 +86,12 @@ class BagFile:
 
     def connections(self, topics: Collection[str]) -> list[Connection]:
         return [connection for connection in self.reader.connections if connection.topic in topics]
+
+
+class FolderReader(DirectoryReader):
+    """A folder with metadata.yaml."""
+
+    STORAGE_PLUGINS = MappingProxyType({"mcap": AnyProfileMcapReader, "sqlite3": SqliteReader})
 
 
 class Bag:
@@ -293,7 +300,7 @@ def _open_folder(folder: Path, warnings: list[str]) -> list[BagFile]:
         if entry.exists() and not entry.is_dir():
             require_regular(entry, _WAYS_OUT)  # opening a pipe would block
     if (folder / "metadata.yaml").exists():
-        reader = Ros2Reader(folder)
+        reader = FolderReader(folder)
         try:
             reader.open()
         except Exception as error:  # whatever a parser stumbles over: the folder was found to be readable
@@ -301,14 +308,16 @@ def _open_folder(folder: Path, warnings: list[str]) -> list[BagFile]:
                 raise InputError(f"{folder}: metadata.yaml names no readable bag ({_one_line(error)})") from error
             warnings.append(f"{folder.name}: metadata.yaml does not fit ({_one_line(error)}); the data files are read")
         else:
+            _warn_of_unread(folder, [Path(str(storage.path)).name for storage in reader.storages], warnings)
             return _files_of(folder, reader)
     elif not files:
         raise InputError(f"{folder}: the folder holds no bag; {_WAYS_OUT}")
     else:
-        what = "no ROS 2 bag" if files[0].suffix == ".bag" else "no metadata.yaml"
+        what = "no ROS 2 bag" if _kind(files[0]) == ".bag" else "no metadata.yaml"
         warnings.append(f"{folder.name}: {what}; its {len(files)} data file(s) are read as one bag")
+    _warn_of_unread(folder, [file.name for file in files], warnings)
     opened = [_open_file(file, warnings) for file in files]
-    if files[0].suffix == ".bag":
+    if _kind(files[0]) == ".bag":
         _check_together(folder, opened)
     return opened
 
@@ -325,13 +334,28 @@ def _check_together(folder: Path, files: Sequence[BagFile]) -> None:
             )
 
 
-def _files_of(path: Path, reader: Ros2Reader) -> list[BagFile]:
+def _warn_of_unread(folder: Path, read: Collection[str], warnings: list[str]) -> None:
+    """Name the files of the folder that look like parts of a bag and are not read. read: names of those that are."""
+    others = sorted(
+        path.name
+        for path in folder.iterdir()
+        if path.is_file()
+        and not _SUFFIXES.isdisjoint(path.suffixes)
+        and not {path.name, path.name.removesuffix(".zstd")} & {*read}
+    )
+    if others:
+        more = f" and {len(others) - _NAMED_MAX} more" if len(others) > _NAMED_MAX else ""
+        warnings.append(
+            f"{folder.name}: left out: {', '.join(others[:_NAMED_MAX])}{more}; if they are of the drive, give all of its files "
+            "by name (compressed ones: after zstd -d)"
+        )
+
+
+def _files_of(path: Path, reader: FolderReader) -> list[BagFile]:
     """The files of a folder with metadata.yaml, which may overlap in time; of a compressed bag rosbags alone can read them."""
-    folder = reader.storage
-    assert isinstance(folder, DirectoryReader)
-    storages = [storage for storage in folder.storages if isinstance(storage, McapReader | Sqlite3Reader)]
+    storages = [storage for storage in reader.storages if isinstance(storage, McapReader | SqliteReader)]
     container: Container = "mcap" if any(isinstance(storage, McapReader) for storage in storages) else "sqlite3"
-    if folder.metadata.compression_mode or not storages:
+    if reader.metadata.compression_mode or not storages:
         return [_opened(path, container, reader)]
     return [_opened(Path(str(storage.path)), container, storage) for storage in storages]
 
@@ -355,10 +379,10 @@ def _open_file(path: Path, warnings: list[str]) -> BagFile:
             reader = Ros1Reader(path)
             rebuilt: Reader = RecoveredRos1Reader(path)
         case "mcap":
-            reader = McapReader(path)
+            reader = AnyProfileMcapReader(path)
             rebuilt = RecoveredMcapReader(path)
         case "sqlite3":
-            reader = rebuilt = Sqlite3Reader(path)
+            reader = rebuilt = SqliteReader(path)
         case _:
             raise InputError(f"{path}: this is no bag; {_WAYS_OUT}")
     try:
@@ -370,7 +394,9 @@ def _open_file(path: Path, warnings: list[str]) -> BagFile:
                 f"{path}: the database is cut or damaged ({_one_line(error)}); repair it with sqlite3's .recover"
             ) from error
         reason = _one_line(error)
-    if "encryption" in reason or "Profile" in reason or "compression" in reason.lower():
+    if "profile" in reason:
+        raise InputError(f"{path}: {reason}; give the bag of ROS 1 or ROS 2 that it was made from")
+    if "encryption" in reason or "compression" in reason.lower():
         raise InputError(f"{path}: {reason} Convert the bag and try again")
     try:
         rebuilt.open()
@@ -388,12 +414,17 @@ def _open_file(path: Path, warnings: list[str]) -> BagFile:
 def _data_files(folder: Path) -> list[Path]:
     """The folder's bag files by their names: those of ROS 2, or where there are none those of ROS 1."""
     found = sorted(folder.iterdir())
-    return [p for p in found if p.suffix in (".mcap", ".db3")] or [p for p in found if p.suffix == ".bag"]
+    return [p for p in found if _kind(p) in (".mcap", ".db3")] or [p for p in found if _kind(p) == ".bag"]
+
+
+def _kind(path: Path) -> str:
+    """The file's suffix, without the .active by which recorders mark what they have not finished."""
+    return Path(path.name.removesuffix(".active")).suffix
 
 
 def _span_ns(reader: Reader) -> tuple[int, int]:
     """Log time of the first message and one nanosecond after the last; the first is the later where there are none."""
-    if isinstance(reader, Ros1Reader | Ros2Reader):
+    if isinstance(reader, Ros1Reader):
         return reader.start_time, reader.end_time
     return reader.metadata.start_time, reader.metadata.end_time
 

@@ -13,11 +13,11 @@ import numpy as np
 from rosbags.interfaces import Connection
 from rosbags.rosbag1.reader import Reader as Ros1Reader
 from rosbags.rosbag1.reader import RecordType, decompressors
-from rosbags.rosbag2 import Reader as Ros2Reader
+from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-Reader = Ros1Reader | Ros2Reader | McapReader | Sqlite3Reader
+Reader = Ros1Reader | DirectoryReader | McapReader | Sqlite3Reader
 Head = tuple[int, bytes]  # Log time in nanoseconds; the message's first bytes
 
 _ROS1_RECORD_BYTES = 96  # More than a message record's own header takes

@@ -143,6 +143,41 @@ def _read_ros1_record(stream: IO[bytes], position: int, end: int) -> _Ros1Record
     return _Ros1Record(header, position + 8 + size, data_size)
 
 
+class AnyProfileMcapReader(McapReader):
+    """rosbags' reader, which refuses a file without profile: tools that merge or filter files write none."""
+
+    def _open(self) -> None:
+        assert self.bio
+        file = self.bio
+        start = file.read(9)
+        if len(start) == 9:
+            _check_profile(file)
+            start += struct.pack("<QI4s", 8, 4, b"ros2")
+        self.bio = cast("BinaryIO", _Continued(start, file))
+        try:
+            super()._open()
+        finally:
+            self.bio = file
+
+
+class _Continued:
+    """A file whose first bytes, read up to its position, are replaced by others."""
+
+    def __init__(self, start: bytes, file: IO[bytes]) -> None:
+        self._start, self._file = BytesIO(start), file
+        self.seek, self.tell = file.seek, file.tell
+
+    def read(self, size: int = -1) -> bytes:
+        return self._start.read(size) or self._file.read(size)
+
+
+def _check_profile(file: IO[bytes]) -> None:
+    """Read the header after its opcode. Raises an error where the messages are none of ROS 2."""
+    profile = storage_mcap.read_string(BytesIO(storage_mcap.read_sized(cast("BinaryIO", file))))
+    if profile not in ("", "ros2"):
+        raise Reader2Error(f"the profile of the MCAP file is {profile}, not ros2")
+
+
 class RecoveredMcapReader(McapReader):
     """An MCAP file without summary: cut, or its recorder was killed. Whole messages before the cut are kept."""
 
@@ -154,8 +189,7 @@ class RecoveredMcapReader(McapReader):
         file = self.bio
         if file.read(8) != b"\x89MCAP0\r\n" or file.read(1) != b"\x01":
             raise Reader2Error("File magic is invalid.")
-        if (profile := storage_mcap.read_string(BytesIO(storage_mcap.read_sized(file)))) != "ros2":
-            raise Reader2Error(f"Profile {profile!r} is not ros2.")
+        _check_profile(file)
         self.data_start = self.data_end = file.tell()
         file_end = file.seek(0, 2)
         counts: Counter[int] = Counter()

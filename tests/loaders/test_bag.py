@@ -117,6 +117,32 @@ def test_metadata_that_does_not_fit_is_done_without(tmp_path):
         assert bag.warnings
 
 
+def _with_profile(path, profile):
+    """The MCAP file with another profile, as long as before; its summary counts bytes from the start."""
+    data = path.read_bytes()
+    size = int.from_bytes(data[9:17], "little")
+    header = len(profile).to_bytes(4, "little") + profile
+    library = size - len(header) - 4
+    path.write_bytes(data[:17] + header + library.to_bytes(4, "little") + b" " * library + data[17 + size :])
+
+
+@pytest.mark.parametrize("cut", [False, True])
+@pytest.mark.parametrize("bare", [False, True])
+def test_an_mcap_without_profile_is_a_bag_of_ros_2(tmp_path, bare, cut):
+    folder = write_bag(tmp_path / "a_mcap", clouds("/a", 3, ros_version=2))
+    file = folder / "a_mcap.mcap"
+    _with_profile(file, b"")
+    if cut:
+        file.write_bytes(file.read_bytes()[:-20])
+    with open_bag(file if bare else folder) as bag:
+        assert [bag.deserialize(raw).width for raw in bag.messages(["/a"])] == [90 * 16] * 3
+        assert len(list(bag.heads("/a", 12))) == 3
+        assert len(bag.warnings) == cut * (1 if bare else 2)
+    _with_profile(file, b"ros1")
+    with pytest.raises(InputError, match=r"the profile of the MCAP file is ros1, not ros2; give the bag of ROS 1"):
+        open_bag(file)
+
+
 def test_topic_with_or_without_slash(tmp_path):
     with open_bag(write_bag(tmp_path / "a.bag", clouds("plain", 1))) as bag:
         assert bag.topic("/plain").name == "plain"

@@ -83,6 +83,39 @@ def test_files_of_a_folder_read_as_the_whole(whole: Path, tmp_path: Path) -> Non
     assert_reads_as([folder], whole)
 
 
+def test_a_last_part_that_its_recorder_had_not_finished_is_read(whole: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    parts = [path if path.is_file() else next(path.glob("*.*[!l]")) for path in cut(whole, tmp_path, PLACES_NS[:1])]
+    first, last = (Path(shutil.copy(path, folder / path.name)) for path in parts)
+    last.rename(folder / f"{last.name}.active")
+    assert_reads_as([folder], whole)
+
+
+@pytest.mark.parametrize("name", ["drive.bag", "drive_mcap"])
+def test_files_of_a_folder_that_are_left_out_are_named(tmp_path: Path, name: str) -> None:
+    version, folder = (1, tmp_path) if name.endswith(".bag") else (2, tmp_path / name)
+    write_bag(tmp_path / name, clouds("/a", 3, ros_version=version))
+    with open_bag(folder) as bag:
+        assert not any("left out" in warning for warning in bag.warnings)
+    for other in ("drive.bag.orig", "part_1.mcap.zst", "part_1.bag.orig.active", "notes.txt"):
+        (folder / other).write_bytes(b"x")
+    with open_bag(folder) as bag:
+        (named,) = (warning for warning in bag.warnings if "left out" in warning)
+    assert "left out: drive.bag.orig, part_1.bag.orig.active, part_1.mcap.zst; " in named
+
+
+def test_a_part_that_metadata_does_not_list_is_named(whole: Path, tmp_path: Path) -> None:
+    if whole.is_file():
+        pytest.skip("a bag of ROS 1 has no metadata")
+    folder = Path(shutil.copytree(whole, tmp_path / "folder"))
+    data = next(path for path in folder.iterdir() if path.suffix != ".yaml")
+    shutil.copy(data, folder / f"later{data.suffix}")
+    with open_bag(folder) as bag:
+        assert bag.warnings[0].startswith(f"folder: left out: later{data.suffix}; ")
+        assert bag.topics["/a"].count == COUNT
+
+
 def test_messages_out_of_order_at_a_cut_come_in_order(tmp_path: Path) -> None:
     """/b's last message before the cut lies in the second file, /a's first after it in the first."""
     entries = drive(2)
