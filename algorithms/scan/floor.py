@@ -1,6 +1,6 @@
 """The floor of a scan: a plane near the map's floor or, at a ramp's foot or top, the two planes that meet there (paper, III.A)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
@@ -19,10 +19,13 @@ class Floor(HorizontalPlane):
     pieces: (2, 3) height at the level frame's origin, slope along x, slope along y of each piece, the larger one first; none
     (0, 3) where the floor is a plane.
     is_foot: whether the higher of the two pieces is the floor, as at a ramp's foot; at its top the lower one is.
+    rejected_m: height above the floor of a surface that holds more ground, as outside a window, and is not below the robot;
+        0 where there is none.
     """
 
     pieces: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     is_foot: bool = False
+    rejected_m: float = 0.0
 
     def height_at(self, points_level: FloatArray) -> FloatArray:
         """Height (m,) of the floor at the x and y of points (m, 2 or more)."""
@@ -57,7 +60,8 @@ def find_floor(points_level: FloatArray, settings: RearrangementSettings, map_fl
 
     It is expected as far below the base as at the first pose, which on ramps holds for what drives, and where the map's floor
     is, which holds for what is carried or flies; what holds more ground is the floor. map_floor_m: height of the latter in
-    the level frame.
+    the level frame. Ground that is at neither height below the base, as outside a window, is the floor only if it also holds
+    more returns than the ground expected there: a robot sees its own floor from nearest.
     """
     # A third of the returns place the plane as well, to a fraction of a millimetre.
     points_level = np.ascontiguousarray(points_level[::3])
@@ -68,8 +72,25 @@ def find_floor(points_level: FloatArray, settings: RearrangementSettings, map_fl
         )
     if support < _SUPPORT_MIN:
         return Floor(0.0, np.zeros(2), 0)
+    floor = _fit(points_level, height_m, settings)
+    off_m = [_below_base(floor) - expected_m for expected_m in (0.0, map_floor_m)]
+    # Ramps, steps and platforms are no reason: below the base, a floor is where it is expected to 2 cm.
+    if min(map(abs, off_m)) > settings.floor_height_m:
+        fits = [_fit(points_level, expected_m, settings) for expected_m in dict.fromkeys((0.0, map_floor_m))]
+        expected = max(fits, key=lambda fit: fit.support)
+        if expected.support > floor.support:
+            return replace(expected, rejected_m=_below_base(floor) - _below_base(expected))
+    return floor
+
+
+def _fit(points_level: FloatArray, height_m: float, settings: RearrangementSettings) -> Floor:
+    """The floor near a height."""
     plane = refine_plane(points_level, height_m, np.zeros(2), settings.floor_height_m, settings.floor_slope_max, 10.0)
     return Floor(plane.height_m, plane.slope, plane.support, *_bend(points_level, plane, settings))
+
+
+def _below_base(floor: Floor) -> float:
+    return float(floor.height_at(np.zeros((1, 2)))[0])
 
 
 def _fullest(points_level: FloatArray, expected_m: float, settings: RearrangementSettings) -> tuple[float, int, float]:

@@ -156,6 +156,7 @@ class _LabelledBlock:
     metrics: list[FloatArray] = field(default_factory=list)
     sizes: list[tuple[int, int]] = field(default_factory=list)
     beyond_range: list[int] = field(default_factory=list)
+    rejected_m: list[float] = field(default_factory=list)
     counts: IntArray = field(default_factory=lambda: np.zeros(256, np.int64))
     digests: dict[int, list[bytes]] = field(default_factory=dict)
     """By the lidar's place."""
@@ -177,6 +178,7 @@ class _LabelledBlock:
             points_in_cloud=np.array([s[0] for s in self.sizes], np.int64),
             points_in_lines=np.array([s[1] for s in self.sizes], np.int64),
             beyond_range=np.array(self.beyond_range, np.int64),
+            rejected_m=np.array(self.rejected_m, np.float64),
         )
 
 
@@ -213,6 +215,7 @@ def _label(
     block.spooled.append(spooled)
     counts = np.bincount(labelling.label, minlength=256)
     block.counts[...] += counts
+    block.rejected_m.append(level.floor.rejected_m)
     block.scans.append((index, scan.stamp_ns, scan.reference_ns, T_level_base))
     block.sizes.append((scan.cloud_size, len(labelling.label) - int(counts[[Label.FLOOR, Label.CEILING]].sum())))
     watch.lap("recording")

@@ -135,7 +135,7 @@ class BlockSummary:
     place of its lidar.
     label_counts: (256,) returns by label. milliseconds: (s, 5), see `STAGES`. metrics: (s, m), see `METRICS`.
     points_in_cloud, points_in_lines: (s,)
-    beyond_range: (s,) returns that were left out because they lie too far away.
+    beyond_range: (s,) returns that were left out because they lie too far away. rejected_m: (s,) see `Floor`.
     """
 
     scan: IntArray
@@ -153,6 +153,7 @@ class BlockSummary:
     points_in_cloud: IntArray
     points_in_lines: IntArray
     beyond_range: IntArray
+    rejected_m: FloatArray
 
 
     @property

@@ -219,6 +219,23 @@ def _summarise(run: Run, blocks: list[Block], summaries: list[BlockSummary]) -> 
         )
 
 
+    rejected_m, scan = (np.concatenate([getattr(s, name) for s in summaries]) for name in ("rejected_m", "scan"))
+    if rejected_m.any():
+        off_cm = 100 * float(np.median(rejected_m[rejected_m != 0]))
+        run.warn(
+            f"{np.count_nonzero(rejected_m):,} scans show more ground at another height ({off_cm:+.0f} cm) than on the floor "
+            "below the robot, as outside a window, and are labelled by the latter; see 'ffmap inspect' for scans "
+            f"{_ranges(scan[rejected_m != 0])}"
+        )
+
+
+def _ranges(numbers: IntArray) -> str:
+    """Ascending numbers as in "3 to 5, 9"; the first few ranges of many."""
+    parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    told = [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in parts[:_REASONS_TOLD]]
+    return ", ".join([*told, *(["..."] if len(parts) > _REASONS_TOLD else [])])
+
+
 def _scans_by_topic(run: Run, summaries: list[BlockSummary]) -> dict[str, dict[str, int]]:
     """How many scans of each lidar were labelled, where there are several."""
     if len(run.inputs.verticals) < 2:

@@ -87,7 +87,7 @@ def test_a_last_part_that_its_recorder_had_not_finished_is_read(whole: Path, tmp
     folder = tmp_path / "folder"
     folder.mkdir()
     parts = [path if path.is_file() else next(path.glob("*.*[!l]")) for path in cut(whole, tmp_path, PLACES_NS[:1])]
-    first, last = (Path(shutil.copy(path, folder / path.name)) for path in parts)
+    _, last = (Path(shutil.copy(path, folder / path.name)) for path in parts)
     last.rename(folder / f"{last.name}.active")
     assert_reads_as([folder], whole)
 

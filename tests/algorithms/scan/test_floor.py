@@ -71,3 +71,18 @@ def test_the_floor_of_a_sensor_that_is_lifted_is_the_maps(lifted_m: float) -> No
 def test_the_floor_of_a_robot_on_a_ramp_is_below_it() -> None:
     """The map's floor is under the ramp, where nothing is seen."""
     assert find_floor(ground(LEVEL), SETTINGS, map_floor_m=-0.8).height_m == pytest.approx(0.0, abs=0.003)
+
+
+@pytest.mark.parametrize("outside_m", [-0.15, 0.2])
+def test_ground_outside_a_window_is_no_floor(outside_m: float) -> None:
+    """It covers more of the ground, and holds fewer returns than the floor on which the robot drives."""
+    generator = np.random.default_rng(2)
+    inside = generator.uniform([-1.0, -1.0, -0.01], [1.0, 1.0, 0.01], (20_000, 3))
+    outside = generator.uniform([2.0, -6.0, outside_m - 0.01], [6.0, 6.0, outside_m + 0.01], (6_000, 3))
+    floor = find_floor(np.concatenate([inside, outside]).astype(np.float32), SETTINGS)
+    assert floor.height_m == pytest.approx(0.0, abs=0.003)
+    assert floor.rejected_m == pytest.approx(outside_m, abs=0.003)
+    # Where the robot is carried up a step, its floor is neither where it was nor where the map has it.
+    lifted = find_floor((inside + np.array([0.0, 0.0, outside_m])).astype(np.float32), SETTINGS)
+    assert lifted.height_m == pytest.approx(outside_m, abs=0.003)
+    assert lifted.rejected_m == 0.0
