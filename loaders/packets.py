@@ -1,4 +1,4 @@
-"""Raw packets that are not read, by the types of their messages: what to say of a topic that holds them."""
+"""Raw packets and compressed clouds that are not read, by the types of their messages: why not, and what to do."""
 
 from collections.abc import Mapping
 
@@ -17,8 +17,11 @@ UNREAD_TYPES: Mapping[str, str] = {
 """Whose they are: of these makers there is no decoder that gives every model's points and their times."""
 
 
+_TRANSPORTS = ("draco", "zlib", "zstd", "cloudini")
+
+
 def unread_packets(bag: Bag) -> dict[str, str]:
-    """Topics of raw packets that are not read: why not, and what to do, one line each."""
+    """Topics of raw packets or compressed clouds that are not read: why not, and what to do, one line each."""
     found = {topic.name: _reason(bag, topic) for topic in bag.topics.values() if topic.count}
     return {name: reason for name, reason in found.items() if reason is not None}
 
@@ -26,4 +29,22 @@ def unread_packets(bag: Bag) -> dict[str, str]:
 def _reason(bag: Bag, topic: Topic) -> str | None:
     if maker := UNREAD_TYPES.get(topic.msgtype):
         return f"{topic.name}: {maker}'s raw packets ({topic.msgtype}) are not read; record the driver's PointCloud2"
+    if topic.msgtype.rpartition("/")[2] == "CompressedPointCloud2":
+        return _compressed(bag, topic)
     return ouster.unread_reason(bag, topic.name) if ouster.is_lidars(topic) else None
+
+
+def _compressed(bag: Bag, topic: Topic) -> str:
+    """How to decompress it: point_cloud_transport publishes /points as /points/draco."""
+    base, _, transport = topic.name.rpartition("/")
+    if transport not in _TRANSPORTS:
+        base, transport = f"{topic.name}/raw", "draco"
+    ros1 = f"rosrun point_cloud_transport republish {transport} in:={base} raw out:={base}"
+    ros2 = (
+        f"ros2 run point_cloud_transport republish --ros-args -p in_transport:={transport} -p out_transport:=raw "
+        f"--remap in/{transport}:={topic.name} --remap out:={base}"
+    )
+    return (
+        f"{topic.name}: compressed clouds ({topic.msgtype}) are not read; play the bag with "
+        f"`{ros1 if bag.ros_version == 1 else ros2}` and record {base} beside the other topics"
+    )

@@ -24,11 +24,13 @@ _ORDER = "stamp x y z qx qy qz qw"
 def read_tum(path: Path) -> Trajectory:
     """A TUM file: one pose a line, "stamp x y z qx qy qz qw", stamps in seconds; # begins a comment.
 
+    Stamps that would be later than the year 5000 in seconds are in milli-, micro- or nanoseconds, by the size of the first.
     Raises InputError that names the line.
     """
     text = read_text(path, "give a TUM file")
     stamps: list[int] = []
     poses: list[list[float]] = []
+    unit_ns = 0
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split("#", 1)[0].split()
         if not words:
@@ -37,7 +39,8 @@ def read_tum(path: Path) -> Trajectory:
         if len(words) != 8:
             raise InputError(f"{where}: {len(words)} values where 8 belong ({_ORDER}, by spaces)")
         try:
-            stamp_ns = _nanoseconds(words[0])
+            unit_ns = unit_ns or _unit_ns(Decimal(words[0]))
+            stamp_ns = _nanoseconds(words[0], unit_ns)
             pose = [float(word) for word in words[1:]]
         except (ValueError, InvalidOperation, OverflowError):
             raise InputError(f"{where}: not all values are numbers ({_ORDER})") from None
@@ -71,19 +74,27 @@ def _seconds(stamp_ns: int) -> str:
     return f"{'-' if stamp_ns < 0 else ''}{whole}.{rest:09d}"
 
 
-def _nanoseconds(seconds: str) -> int:
-    """Seconds as text to nanoseconds, digits beyond the ninth rounded; raises OverflowError beyond 64 bits."""
-    stamp = Decimal(seconds)
+def _unit_ns(stamp: Decimal) -> int:
+    """Nanoseconds of a stamp's unit: what counts from 1970 shows it by its size."""
+    return next((unit_ns for digits, unit_ns in _UNITS_NS.items() if stamp.adjusted() >= digits), 1_000_000_000)
+
+
+_UNITS_NS = {17: 1, 14: 1_000, 11: 1_000_000}  # By the least exponent of stamps from 1973 on; 1e11 s are the year 5138
+
+
+def _nanoseconds(text: str, unit_ns: int) -> int:
+    """A stamp as text to nanoseconds, digits beyond them rounded; raises OverflowError beyond 64 bits."""
+    stamp = Decimal(text)
     # The exponent may ask for more digits than memory holds.
     if stamp.adjusted() > _DIGITS_MAX:
-        raise OverflowError(seconds)
-    nanoseconds = int((stamp * 1_000_000_000).to_integral_value())
+        raise OverflowError(text)
+    nanoseconds = int((stamp * unit_ns).to_integral_value())
     if not -(2**63) <= nanoseconds < 2**63:
-        raise OverflowError(seconds)
+        raise OverflowError(text)
     return nanoseconds
 
 
-_DIGITS_MAX = 10  # Maximum exponent of a stamp in seconds: 64 bits of nanoseconds end in the year 2262
+_DIGITS_MAX = 18  # Maximum exponent of a stamp: 64 bits of nanoseconds end in the year 2262
 
 
 def read_pose_topic(bag: Bag, topic: str, base_frame: str | None, static: FrameTree | None = None) -> Trajectory:

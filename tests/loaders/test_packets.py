@@ -14,13 +14,13 @@ from tests.loaders.bag_builder import CLOUD, PERIOD_NS, START_NS, cloud, sweep
 from tests.program import ffmap_here
 
 
-def bag_of(path: Path, msgtype: str, with_clouds: bool = False) -> Path:
-    """A bag with a few packets on /packets, and clouds on /points."""
+def bag_of(path: Path, msgtype: str, with_clouds: bool = False, topic: str = "/packets") -> Path:
+    """A bag with a few packets on a topic, and clouds on /points."""
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("uint8[] data", msgtype))
     packet = store.types[msgtype](np.zeros(100, np.uint8))
     with Writer(path) as writer:
-        packets = writer.add_connection("/packets", msgtype, typestore=store)
+        packets = writer.add_connection(topic, msgtype, typestore=store)
         points = writer.add_connection("/points", CLOUD, typestore=store) if with_clouds else None
         for i in range(3):
             writer.write(packets, START_NS + i * PERIOD_NS, bytes(store.serialize_ros1(packet, msgtype)))
@@ -49,3 +49,18 @@ def test_beside_clouds_they_are_warned_of(tmp_path: Path, msgtype: str) -> None:
     assert [found.index.topic for found in info.clouds] == ["/points"]
     assert info.rig.horizontal.topic == "/points"
     assert sum("/packets" in line for line in (*info.warnings, *info.missing)) == 1
+
+
+@pytest.mark.parametrize(
+    ("topic", "command"),
+    [
+        ("/side/points/draco", "rosrun point_cloud_transport republish draco in:=/side/points raw out:=/side/points"),
+        ("/encoded", "rosrun point_cloud_transport republish draco in:=/encoded/raw raw out:=/encoded/raw"),
+    ],
+)
+def test_compressed_clouds_are_named_with_what_decompresses_them(tmp_path: Path, topic: str, command: str) -> None:
+    msgtype = "draco_point_cloud_transport/msg/CompressedPointCloud2"
+    problem = describe_bag(bag_of(tmp_path / "a.bag", msgtype, topic=topic)).rig_problem
+    assert problem is not None
+    assert f"{topic}: compressed clouds ({msgtype}) are not read" in problem
+    assert f"`{command}`" in problem

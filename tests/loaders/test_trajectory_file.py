@@ -36,10 +36,20 @@ def test_comments_exponents_and_few_decimals(tmp_path):
     assert read_tum(tmp_path / "a.tum").stamp_ns.tolist() == [1_500_000_000, 2_000_000_001]
 
 
+@pytest.mark.parametrize("unit_ns", [1, 1_000, 1_000_000, 1_000_000_000])
+def test_stamps_in_any_unit(tmp_path, unit_ns):
+    stamps_ns = [START_NS, START_NS + 100_000_000, START_NS + 250_000_000]
+    with_fraction = "" if unit_ns < 1_000_000_000 else ".{:09d}"
+    rows = [f"{t // unit_ns}{with_fraction.format(t % unit_ns)} 1 2 3 0 0 0 1" for t in stamps_ns]
+    (tmp_path / "a.tum").write_text("\n".join(rows))
+    assert read_tum(tmp_path / "a.tum").stamp_ns.tolist() == stamps_ns
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("", "no poses"),
+        ("1 0 0 0 0 0 0 1\n1700000000000000000 0 0 0 0 0 0 1\n", "line 2: not all values are numbers"),
         ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 1\n", "line 2: 7 values"),
         ("1 0 0 a 0 0 0 1\n", "line 1: not all values are numbers"),
         ("x 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
