@@ -179,8 +179,8 @@ def time_words(decoding: CloudDecoding) -> str:
     if decoding.time_from == "none":
         return "not used"
     if time is None:
-        name = decoding.layout.time_field
-        return f"none (field {name} is not filled, or its unit cannot be told)" if name else "none"
+        names = " and ".join(decoding.layout.time_fields)
+        return f"none (field {names} is not filled, or its unit cannot be told)" if names else "none"
     meant = {
         "stamp": "relative to the stamp",
         "epoch": "absolute",

@@ -43,7 +43,8 @@ class CloudLayout:
     """What a cloud message says about its points.
 
     point: the structured type of one point, with the fields' names, offsets and byte order. point_step: its bytes.
-    ring_field, time_field: the names of the fields that hold them; None where there is none.
+    ring_field: the name of the field that holds rings; None where there is none.
+    time_fields: the names of those that may hold times; their content decides, see `settle_decoding`.
     """
 
     topic: str
@@ -53,7 +54,7 @@ class CloudLayout:
     height: int
     width: int
     ring_field: str | None
-    time_field: str | None
+    time_fields: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,14 +153,15 @@ def _layout(
         point_step=point_step,
         height=height,
         width=width,
-        ring_field=_first_of(RING_NAMES, known),
-        time_field=_first_of(TIME_NAMES, known),
+        ring_field=next(iter(_named(RING_NAMES, known)), None),
+        time_fields=_named(TIME_NAMES, known),
     )
 
 
-def _first_of(names: Sequence[str], fields: Iterable[str]) -> str | None:
+def _named(names: Sequence[str], fields: Iterable[str]) -> tuple[str, ...]:
+    """The fields with these names in upper or lower case, in the order of the names."""
     by_lower = {name.lower(): name for name in reversed(list(fields))}
-    return next((by_lower[name] for name in names if name in by_lower), None)
+    return tuple(by_lower[name] for name in names if name in by_lower)
 
 
 def field_column(message: Message, layout: CloudLayout, name: str) -> npt.NDArray[Any]:
@@ -226,7 +228,8 @@ def settle_decoding(
 
     Raises CloudError where none of them is sound.
     """
-    layouts, ring_samples, time_samples = [], [], []
+    layouts, ring_samples = [], []
+    time_samples: dict[str, list[tuple[npt.NDArray[Any], int]]] = {}
     varying: set[str] = set()
     failure: CloudError | None = None
     for message in messages:
@@ -243,26 +246,27 @@ def settle_decoding(
         row, column = np.divmod(index, layout.width)
         ring_samples.append(RingSample(points, field, row, column, (layout.height, layout.width)))
         varying |= {name for name in _intensity_fields(layout) if _varies(_field_of(message, layout, name, index))}
-        if layout.time_field:
-            time_samples.append((_field_of(message, layout, layout.time_field, index), stamp_ns(message)))
+        for name in layout.time_fields:
+            sample = _field_of(message, layout, name, index), stamp_ns(message)
+            time_samples.setdefault(name, []).append(sample)
     if not layouts:
         raise failure or CloudError(f"{topic}: no cloud to read; choose another topic")
     usual = Counter(str(found.point.fields) for found in layouts)
     layout = max(layouts, key=lambda found: (usual[str(found.point.fields)], found.height * found.width))
-    time = None
-    if layout.time_field:
-        kind = layout.point[layout.time_field].kind
-        alike = [sample for sample in time_samples if sample[0].dtype.kind == kind]
-        time = find_time_field(layout.time_field, alike, period_ns)
+    times = []
+    for name in layout.time_fields:
+        alike = [sample for sample in time_samples.get(name, ()) if sample[0].dtype.kind == layout.point[name].kind]
+        times.append(find_time_field(name, alike, period_ns))
+    # A driver may leave one of them unfilled.
+    time = next(filter(None, times), None)
     intensity = next((name for name in _intensity_fields(layout) if name in varying), None)
     decoding = CloudDecoding(layout, estimate_rings(ring_samples), time, time_from, period_ns, intensity=intensity)
     return replace(decoding, dual=_returns_twice(messages, decoding))
 
 
-def _intensity_fields(layout: CloudLayout) -> list[str]:
+def _intensity_fields(layout: CloudLayout) -> tuple[str, ...]:
     """Those that may tell how strong a return is, the best first."""
-    by_lower = {name.lower(): name for name in layout.point.names or ()}
-    return [by_lower[name] for name in INTENSITY_NAMES if name in by_lower]
+    return _named(INTENSITY_NAMES, layout.point.names or ())
 
 
 def _varies(values: npt.NDArray[Any]) -> bool:
@@ -365,13 +369,12 @@ def _times(
     index: IntArray,
     stamp: int,
 ) -> tuple[IntArray | None, int]:
-    if decoding.time_from == "auto" and decoding.time and layout.time_field == decoding.time.name:
-        if layout.point[layout.time_field].kind != decoding.layout.point[layout.time_field].kind:
-            raise CloudError(
-                f"{layout.topic}: field {layout.time_field} is of another type than in the topic's other clouds"
-            )
+    if decoding.time_from == "auto" and decoding.time and decoding.time.name in layout.time_fields:
+        name = decoding.time.name
+        if layout.point[name].kind != decoding.layout.point[name].kind:
+            raise CloudError(f"{layout.topic}: field {name} is of another type than in the topic's other clouds")
         try:
-            values = _field_of(message, layout, layout.time_field, index)
+            values = _field_of(message, layout, name, index)
             time_ns, start_ns = decoding.time.nanoseconds(values, stamp)
             _check_span(time_ns, decoding.time, decoding.period_ns)
             return time_ns, start_ns
@@ -459,7 +462,7 @@ def make_cloud(typestore: Typestore, header: Message, points: npt.NDArray[np.voi
 def merge_clouds(messages: Sequence[Message]) -> Message:
     """One cloud of several that belong to one revolution, in order; stamp and header of the first.
 
-    Their field of times becomes one of the whole revolution (`join_times`). Where they have none, a field `time`
+    Their first filled field of times becomes one of the whole revolution (`join_times`). Where they have none, a field `time`
     (float32, seconds from the first stamp) is appended: each cloud's own stamp is the time of its points.
     """
     # A part without points may say anything of their layout.
@@ -468,10 +471,12 @@ def merge_clouds(messages: Sequence[Message]) -> Message:
     blocks = list(_point_blocks(messages, layout))
     step, fields = layout.point_step, list(first.fields)
     data = np.concatenate([block for block, _ in blocks])
-    if layout.time_field:
-        parts = [block.view(layout.point)[:, 0][layout.time_field] for block, _ in blocks]
-        times = np.concatenate(join_times(layout.time_field, parts, [offset_ns for _, offset_ns in blocks]))
-        data.view(layout.point)[:, 0][layout.time_field] = times
+    points = data.view(layout.point)[:, 0]
+    filled = [name for name in layout.time_fields if points[name].any()]
+    if layout.time_fields:
+        name = (filled or layout.time_fields)[0]
+        parts = [block.view(layout.point)[:, 0][name] for block, _ in blocks]
+        points[name] = np.concatenate(join_times(name, parts, [offset_ns for _, offset_ns in blocks]))
     else:
         dtype = np.dtype(">f4" if first.is_bigendian else "<f4")
         fields.append(replace(fields[0], name="time", offset=step, datatype=7, count=1))

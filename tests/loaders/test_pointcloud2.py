@@ -118,6 +118,20 @@ def test_no_time_field():
     assert read(cloud(sweep()), time_from="none").time_ns is None
 
 
+@pytest.mark.parametrize("packets", [1, 75])
+def test_a_time_field_that_is_not_filled_hides_no_other(packets):
+    points = sweep(columns=900)
+    stored = np.zeros(len(points), point_dtype([*VELODYNE, ("timestamp", "f8")]))
+    for name in "xyz":
+        stored[name] = points[name]
+    true_ns = np.arange(len(points)) // 16 * 111_111
+    stored["timestamp"] = (START_NS + true_ns) / 1e9
+    parts = [cloud(part, START_NS) for part in np.split(stored, packets)]
+    message = merge_clouds(parts) if packets > 1 else parts[0]
+    assert settle_decoding([message], "/points").time.name == "timestamp"
+    assert np.abs(read(message).time_ns - true_ns).max() <= 1000
+
+
 @pytest.mark.parametrize("clockwise", [True, False])
 @pytest.mark.parametrize("layout", ["firing order", "ring by ring", "organised"])
 def test_times_from_the_azimuth(clockwise, layout):
@@ -276,7 +290,7 @@ def test_parts_whose_times_tell_no_unit_are_timed_by_their_stamps():
 
 def test_layout_says_what_is_there():
     layout = describe_layout(cloud(sweep().reshape(16, -1), frame="/lidar"), "/points")
-    assert (layout.frame_id, layout.ring_field, layout.time_field, layout.height > 1) == ("lidar", "ring", "time", True)
+    assert (layout.frame_id, layout.ring_field, layout.time_fields, layout.height > 1) == ("lidar", "ring", ("time",), True)
     assert [(name, *layout.point.fields[name]) for name in layout.point.names][-2:] == [
         ("ring", np.dtype("<u2"), 16),
         ("time", np.dtype("<f4"), 18),

@@ -52,7 +52,7 @@ def test_roles_by_the_spin_axis_not_by_name(tmp_path, name):
     np.testing.assert_allclose(rig.vertical.T_base_sensor[:3, 2], [1, 0, 0], atol=1e-12)
     assert "gravity" in rig.horizontal.reasons
     assert "level" in rig.vertical.reasons
-    assert (rig.vertical.ring_count, rig.vertical.decoding.layout.time_field) == (16, "time")
+    assert (rig.vertical.ring_count, rig.vertical.decoding.time.name) == (16, "time")
     assert {e.child for e in rig.static_transforms} == {"vertical_velodyne", "horizontal_velodyne"}
     assert not rig.warnings
 
