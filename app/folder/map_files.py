@@ -2,12 +2,12 @@
 
 import warnings
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import yaml
 from PIL import Image
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.maps.grid import Cell, GridMap
@@ -21,6 +21,7 @@ BLACK_MAX = 100
 FREE_THRESHOLD = 0.196
 """Nav2 reads a pixel p as free below it: (255 − 205) / 255 = 0.1961 has to stay unknown, so its usual 0.25 will not do."""
 IMAGES = (".png", ".pgm", ".pbm", ".ppm", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".gif", ".webp")
+_LOSSY = (".jpg", ".jpeg", ".webp")
 RESOLUTION_MAX_M = 1.0
 RESOLUTION_MIN_M = 1e-4
 ORIGIN_MAX_M = 1e8
@@ -40,7 +41,9 @@ class MapDescription(BaseModel):
     negate: bool = False
     occupied_thresh: float = Field(0.65, ge=0, le=1)
     free_thresh: float = Field(0.25, ge=0, le=1)
-    mode: Literal["trinary", "scale", "raw"] = "trinary"
+    mode: Annotated[
+        Literal["trinary", "scale", "raw"], BeforeValidator(lambda mode: mode.lower() if isinstance(mode, str) else mode)
+    ] = "trinary"
 
 
 def write_grid(path: Path, grid: GridMap) -> None:
@@ -75,7 +78,13 @@ def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bo
         raise InputError(f"--resolution {resolution_m:g}: give the edge of a pixel in metres, as in 0.05; {most}")
     if path.suffix.lower() in (".yaml", ".yml"):
         description = _read_description(path)
-        pixels = read_image(path.parent / description.image, f"{path}: its image ")
+        image = path.parent / description.image
+        # map_saver writes an absolute path, of the computer where the map was made.
+        beside = path.parent / image.name
+        image = beside if beside.is_file() and not image.is_file() else image
+        pixels = read_image(image, f"{path}: its image ")
+        if description.mode != "raw" and not description.negate:
+            pixels = _without_noise(pixels, image)
         cells = _cells(pixels, description)
         origin = np.array(description.origin[:2])
         return GridMap(np.ascontiguousarray(cells[::-1]), origin, resolution_m or description.resolution)
@@ -84,7 +93,7 @@ def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bo
     if resolution_m is None:
         how = ", or --resolution METRES of a pixel" if takes_resolution else ""
         raise InputError(f"{path}: an image has no scale; give map_server's YAML file that names it{how}")
-    pixels = read_image(path)
+    pixels = _without_noise(read_image(path), path)
     cells = np.select([pixels >= WHITE_MIN, pixels <= BLACK_MAX], [Cell.FREE, Cell.OCCUPIED], Cell.UNKNOWN)
     cells = cells.astype(np.uint8)
     return GridMap(np.ascontiguousarray(cells[::-1]), np.zeros(2), resolution_m)
@@ -123,6 +132,15 @@ def _grey(path: Path, what: str) -> UInt8Array:
                 ground.alpha_composite(rgba)
                 return np.asarray(ground.convert("L"))
         return np.asarray(image.convert("L"))
+
+
+def _without_noise(pixels: UInt8Array, path: Path) -> UInt8Array:
+    """Of an image with lossy compression the nearest of a map's three grey values: others are noise, most of it near walls."""
+    if path.suffix.lower() not in _LOSSY:
+        return pixels
+    levels = np.sort(np.array(list(Cell), np.uint8))
+    nearest = np.abs(np.arange(256)[:, None] - levels.astype(int)).argmin(axis=1)
+    return np.asarray(levels[nearest][pixels])
 
 
 def _read_description(path: Path) -> MapDescription:

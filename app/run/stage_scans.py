@@ -31,7 +31,7 @@ _BLOCKS_TOGETHER = 10
 of each of its entities.
 """
 _REASONS_TOLD = 5
-"""Number of skipped clouds that are told one by one while the run goes on."""
+"""Number of skipped clouds, and of ranges of scans, that are named one by one."""
 
 
 @dataclass(frozen=True)
@@ -221,11 +221,11 @@ def _summarise(run: Run, blocks: list[Block], summaries: list[BlockSummary]) -> 
 
     rejected_m, scan = (np.concatenate([getattr(s, name) for s in summaries]) for name in ("rejected_m", "scan"))
     if rejected_m.any():
-        off_cm = 100 * float(np.median(rejected_m[rejected_m != 0]))
+        scans, off_m = scan[rejected_m != 0], float(np.median(rejected_m[rejected_m != 0]))
         run.warn(
-            f"{np.count_nonzero(rejected_m):,} scans show more ground at another height ({off_cm:+.0f} cm) than on the floor "
-            "below the robot, as outside a window, and are labelled by the latter; see 'ffmap inspect' for scans "
-            f"{_ranges(scan[rejected_m != 0])}"
+            f"{len(scans):,} scans ({_ranges(scans)}) show more ground {100 * abs(off_m):.0f} cm {'below' if off_m < 0 else 'above'} "
+            "the floor under the robot than at its height, as outside a window; it was not taken for the floor. "
+            f"'ffmap inspect {run.folder.path} --scan {scans[0]}' shows it"
         )
 
 

@@ -42,6 +42,28 @@ class TestGrid:
         np.testing.assert_array_equal(back.cells, self.GRID.cells)
         np.testing.assert_allclose(back.origin, self.GRID.origin)
 
+    @pytest.mark.parametrize("name", ["map.jpg", "map.webp"])
+    @pytest.mark.parametrize("described", [False, True])
+    def test_lossy_compression_changes_no_cell(self, tmp_path: Path, name: str, described: bool):
+        rooms = np.full((80, 120), Cell.UNKNOWN, np.uint8)
+        rooms[10:70, 10:110] = Cell.FREE
+        rooms[10, 10:110] = rooms[69, 10:110] = rooms[10:70, 10] = rooms[10:70, 109] = rooms[10:55, 60] = Cell.OCCUPIED
+        Image.fromarray(rooms[::-1]).save(tmp_path / name, quality=85)
+        with Image.open(tmp_path / name) as image:
+            assert len(np.unique(np.asarray(image.convert("L")))) > 10
+        (tmp_path / "map.yaml").write_text(f"image: {name}\nresolution: 0.05\norigin: [0, 0, 0]\n")
+        back = read_map(tmp_path / ("map.yaml" if described else name), None if described else 0.05)
+        np.testing.assert_array_equal(back.cells, rooms)
+
+    def test_a_mode_in_capitals_and_an_image_that_was_moved_with_its_yaml(self, tmp_path: Path):
+        write_grid(tmp_path / "map.yaml", self.GRID)
+        text = (tmp_path / "map.yaml").read_text()
+        moved = text.replace("mode: trinary", "mode: Trinary").replace("map.pgm", "/home/robot/maps/map.pgm")
+        (tmp_path / "map.yaml").write_text(moved)
+        np.testing.assert_array_equal(read_map(tmp_path / "map.yaml").cells, self.GRID.cells)
+        (tmp_path / "map.pgm").unlink()
+        with pytest.raises(InputError, match=r"/home/robot/maps/map\.pgm: is not there"):
+            read_map(tmp_path / "map.yaml")
 
 _THRESHOLDS = "negate: 0\noccupied_thresh: 0.6\nfree_thresh: 0.2\n"
 
