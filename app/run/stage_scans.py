@@ -222,9 +222,10 @@ def _summarise(run: Run, blocks: list[Block], summaries: list[BlockSummary]) -> 
     rejected_m, scan = (np.concatenate([getattr(s, name) for s in summaries]) for name in ("rejected_m", "scan"))
     if rejected_m.any():
         scans, off_m = scan[rejected_m != 0], float(np.median(rejected_m[rejected_m != 0]))
+        side = "below" if off_m < 0 else "above"
         run.warn(
-            f"{len(scans):,} scans ({_ranges(scans)}) show more ground {100 * abs(off_m):.0f} cm {'below' if off_m < 0 else 'above'} "
-            "the floor under the robot than at its height, as outside a window; it was not taken for the floor. "
+            f"{len(scans):,} scans ({_ranges(scans)}) show more ground {100 * abs(off_m):.0f} cm {side} the floor under the "
+            "robot than at its height, as outside a window; it was not taken for the floor. "
             f"'ffmap inspect {run.folder.path} --scan {scans[0]}' shows it"
         )
 
