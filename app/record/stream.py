@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -99,19 +99,21 @@ class Recording:
         recording_id: str,
         blueprint: rrb.Blueprint,
         connect_url: str | None = None,
+        say: Callable[[str], None] = print,
     ) -> None:
         """path: None where only a viewer is to see it. spool: a folder for this process's own parts.
 
-        connect_url: as `start_viewer` returns it. Raises ConnectionError if nothing listens there.
+        connect_url: as `start_viewer` returns it. say: prints a line if the viewer ends before the run.
+        Raises ConnectionError if nothing listens there.
         """
         self._viewer: rr.RecordingStream | None = None
         if connect_url is not None:
             check_viewer(connect_url)
             self._viewer = _new_stream(recording_id, send_properties=False)
-            self._viewer.connect_grpc(connect_url, default_blueprint=blueprint)
+            self._viewer.connect_grpc(connect_url)
         for stale in spool.glob(f"{_OWN}-*"):
             stale.unlink()
-        self._path, self._spool, self._id = path, spool, recording_id
+        self._path, self._spool, self._id, self._say = path, spool, recording_id, say
         self._layouts: list[Path] = []
         self._parts: list[Path] = []
         self._own_count = 0
@@ -127,17 +129,18 @@ class Recording:
 
     def set_layout(self, blueprint: rrb.Blueprint) -> None:
         """Replace the layout that the recording opens with."""
-        if self._viewer is not None:
-            self._viewer.send_blueprint(blueprint, make_active=False, make_default=True)
         self._close_own()
         self._add_layout(blueprint)
         self.stream.save(self._own)
 
     def _add_layout(self, blueprint: rrb.Blueprint) -> None:
+        if self._viewer is not None:
+            # Active: a viewer keeps the layout that it has, of this run or of another, if it only gets a new default.
+            self._viewer.send_blueprint(blueprint, make_active=True, make_default=True)
         # A part of its own: Rerun's tool refuses to join files in which a layout and data lie together.
         with open_part(self._own, self._id) as stream:
             stream.send_blueprint(blueprint, make_active=False, make_default=True)
-        self._append(self._own, self._layouts, show=False)
+        self._append(self._own, self._layouts)
         self._own_count += 1
 
     def add(self, part: Path) -> None:
@@ -164,20 +167,23 @@ class Recording:
             self._append(self._own, self._parts)
             self._own_count += 1
 
-    def _append(self, part: Path, kind: list[Path], show: bool = True) -> None:
+    def _append(self, part: Path, kind: list[Path]) -> None:
         kind.append(part)
         if self._path is not None:
             with self._path.open("ab") as recording:
                 _splice(part, recording)
-        if self._viewer is not None and show:
-            self._viewer.send_chunks(RrdReader(part).stream())
+        if self._viewer is not None:
+            reader = RrdReader(part)
+            # A part without chunks, and one with a layout alone, has no recording.
+            for entry in reader.recordings():
+                self._viewer.send_chunks(reader.stream(store=entry))
             try:
                 # Without it, what was forwarded piles up in memory.
                 self._viewer.flush()
-            except RuntimeError as error:
-                # Who closes the viewer does not mean to end the run.
-                if "gRPC" not in str(error):
-                    raise
+            except RuntimeError:
+                # A user who closes the viewer does not mean to end the run.
+                self._say("The viewer has ended. The run continues without it.")
+                self._viewer = None
 
 
 def _splice(part: Path, recording: io.BufferedWriter) -> None:

@@ -61,7 +61,7 @@ def run(
     recording: Recording | None = None
     log: Log | None = None
     try:
-        recording = _open(inputs, options, folder, record)
+        recording = _open(inputs, options, folder, record, progress)
         scan_stamps_ns = inputs.scans.stamp_ns if inputs.verticals else None
         log = Log(recording.stream, options.detail, scan_stamps_ns=scan_stamps_ns) if recording else None
         _run_stages(Run(inputs, settings, options, folder, progress, record, recording, log, state), given)
@@ -130,7 +130,9 @@ def _pool(run: Run) -> Iterator[Executor]:
         yield cluster.executor
 
 
-def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any]) -> Recording | None:
+def _open(
+    inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[str, Any], progress: Progress
+) -> Recording | None:
     """The run's recording; None where none is wanted. Raises InputError where the viewer has gone."""
     save = Output.RECORDING in options.outputs
     if not save and options.connect_url is None:
@@ -142,6 +144,7 @@ def _open(inputs: Inputs, options: RunOptions, folder: RunFolder, record: dict[s
             record["recording_id"],
             layout(inputs.line_pairs, options.detail, record, several_lidars=len(inputs.verticals) > 1),
             options.connect_url,
+            progress.say,
         )
     except ConnectionError as error:
         raise InputError(
