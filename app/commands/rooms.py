@@ -1,5 +1,6 @@
 """`ffmap rooms`: rooms of any system's grid map, and how well they meet rooms drawn by hand."""
 
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -63,19 +64,34 @@ def _segment_folder(words: RoomsParameters) -> None:
         raise InputError(
             f"{words.map_path}: no map has rooms beside it (as office_a.png has office_a{TRUTH_SUFFIX}.png); give one map"
         )
+    load_settings(words.config, words.set_ or ())
     rows: list[list[str]] = []
+    failed: list[str] = []
     by_kind: dict[str, list[RoomFigures]] = {}
     for path, truth in pairs:
-        _, figures = _segment(words, path, truth, many=True)
+        try:
+            _, figures = _segment(words, path, truth, many=True)
+        except InputError as error:
+            failed.append(str(error))
+            continue
+        except Exception as error:
+            failed.append(f"{path}: could not be segmented ({type(error).__name__}: {error}); leave it out, and report it")
+            continue
         assert figures is not None
         by_kind.setdefault(path.stem.removeprefix(truth.stem.removesuffix(TRUTH_SUFFIX)), []).append(figures)
         rows.append([path.stem, *_cells([figures])])
+    if not rows:
+        raise InputError(failed[0])
     headings = ("map", "true", "found", "recall", "precision", "split", "merged")
     table = make_table("Rooms against those drawn by hand, percent", headings, rows)
     table.add_section()
     for kind, many in by_kind.items():
         table.add_row(f"mean of {len(many)} {kind.strip('_ ') or 'plain'}", *_cells(many))
     Console(highlight=False).print(table)
+    for line in failed:
+        typer.echo(f"ffmap: {line}", err=True)
+    if failed:
+        sys.exit(2)
 
 
 def _pairs(folder: Path) -> list[tuple[Path, Path]]:

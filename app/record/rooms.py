@@ -1,7 +1,8 @@
 """Rooms as Rerun entities: coloured floors with names and areas, and their topology as a graph."""
 
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,9 @@ from ffmap.blueprints.run import view_of
 
 _FLOOR_M, _LINE_M, _NAME_M = 0.01, 0.04, 0.08
 """Heights in metres: rooms lie above the grid, lines above the rooms, passages and names above all; else one would hide another."""
+
+_INSETS_M = 0.0, 0.001, 0.002
+"""GEOS fails to triangulate some areas whose rings touch each other; a millimetre within the area, they do not touch."""
 
 
 def prepare_recording(grid: GridMap) -> Callable[[Path, AreaGraph], None]:
@@ -93,11 +97,20 @@ def _inner_points(graph: AreaGraph) -> FloatArray:
     return np.array([inner_point(room) for room in graph.rooms]).reshape(-1, 2)
 
 
+def _triangles(area: shapely.Polygon) -> Sequence[shapely.Polygon]:
+    """Triangulate an area; empty where it has no width, or where GEOS fails."""
+    for inset_m in _INSETS_M:
+        with suppress(shapely.GEOSException):
+            inside = area.buffer(-inset_m, join_style="mitre")
+            return list(shapely.get_parts(shapely.constrained_delaunay_triangles(inside)))
+    return []
+
+
 def _log_floors(log: Log, graph: AreaGraph, root: str) -> None:
     colors = _colors(graph)
     corners, owner = [], []
     for index, room in enumerate(graph.rooms):
-        parts = shapely.get_parts(shapely.constrained_delaunay_triangles(room.polygon))
+        parts = _triangles(room.polygon)
         corners.append(np.array([np.asarray(part.exterior.coords)[:3] for part in parts]).reshape(-1, 2))
         owner.append(np.full(3 * len(parts), index))
     vertices = np.concatenate(corners)

@@ -203,6 +203,32 @@ def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_pa
     assert "mean of 1 furnitures" in out
 
 
+def test_a_map_that_fails_leaves_the_others_of_its_folder(ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in "abc":
+        save(tmp_path / f"{name}.png", two_rooms(free=255))
+        save(tmp_path / f"{name}_gt_segmentation.png", two_rooms(free=255))
+    (tmp_path / "a.png").write_text("no image")
+    segment = rooms_command.find_rooms
+    maps = iter(["b", "c"])
+
+    def failing(*given: object) -> object:
+        if next(maps) == "b":
+            raise ValueError("a fault of ours")
+        return segment(*given)
+
+    monkeypatch.setattr(rooms_command, "find_rooms", failing)
+    code, out, err = ffmap("rooms", tmp_path, "--resolution", 0.05, "--out", "found")
+    assert code == 2
+    assert "│ c " in out
+    assert "mean of 1 plain" in out
+    unreadable, fault = err.splitlines()
+    assert "a.png" in unreadable
+    assert "b.png: could not be segmented (ValueError: a fault of ours)" in fault
+    (tmp_path / "b.png").unlink()
+    (tmp_path / "c.png").unlink()
+    assert_one_line(ffmap("rooms", tmp_path, "--resolution", 0.05, "--out", "none"), "a.png")
+
+
 def test_known_doors_part_rooms(ffmap, tmp_path: Path) -> None:
     pixels = two_rooms()
     pixels[24:116, 100:102] = 254  # an opening of 4.6 m between rooms of 5 m
