@@ -51,9 +51,11 @@ def in_one_line(metrics: Metrics) -> str:
     if "area" in metrics:
         said.append(f"wall F1 {percent(metrics['area'][Label.WALL.name.lower()]['f1'])} %")
     if (doors := metrics.get("doors")) is not None:
-        said.append(f"{doors['found_count']} of {doors['passed']} doors found, {doors['invented_count']} invented")
+        others = f" ({doors['true'] - doors['passed']} more not passed)" if doors["true"] > doors["passed"] else ""
+        said.append(f"{doors['found_count']} of {doors['passed']} doors found{others}, {doors['invented_count']} invented")
     if (rooms := metrics.get("rooms")) is not None:
-        said.append(f"rooms {percent(rooms['recall'])} % recalled")
+        recalled = f", recalled to {percent(rooms['recall'])} %" if rooms["entered"] else ""
+        said.append(f"{rooms['entered']} of {rooms['true']} rooms entered{recalled}")
     if (trajectory := metrics.get("trajectory")) is not None:
         said.append(f"poses off by {_centimetres(trajectory['ate_rmse_m'])}")
     said += [f"not compared: {reason}" for reason in metrics.get("missing", ())]
@@ -73,7 +75,7 @@ def format_metrics(metrics: Metrics) -> list[Table]:
     if "maps" in metrics:
         tables.append(maps_table(metrics["maps"], "Grid maps against the truth (Fig. 9)"))
     if "rooms_of_maps" in metrics:
-        headings = ("rooms of", "found", "recall %", "precision %", "split", "merged")
+        headings = ("rooms of", "found", "recall of those entered %", "precision %", "split", "merged")
         rooms = _rows_of_maps(metrics["rooms_of_maps"])
         tables.append(make_table("Rooms of maps against the truth (Fig. 10)", headings, rooms))
     if rows := list(_other_rows(metrics)):
@@ -106,7 +108,8 @@ def _rows_of_maps(rooms_of_maps: Metrics) -> Iterator[list[str]]:
 
 def _other_rows(metrics: Metrics) -> Iterator[tuple[str, str]]:
     if (doors := metrics.get("doors")) is not None:
-        yield "doors found", f"{doors['found_count']} of {doors['passed']} passed, {percent(doors['found'])} %"
+        passed = f"{doors['found_count']} of {doors['passed']} passed, {percent(doors['found'])} %"
+        yield "doors found", f"{passed} ({doors['true']} true doors)"
         invented = f"{doors['invented_count']} of {doors['detections']}, {percent(doors['invented'])} %"
         yield "doors invented", invented
         yield "width error, mean", _centimetres(doors["width_error_m"])

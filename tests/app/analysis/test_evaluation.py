@@ -240,6 +240,17 @@ def test_what_lies_in_another_frame_than_the_truth_is_not_compared_with_it(
     assert json.loads((folder / "metrics.json").read_text())["trajectory"]["unaligned_rmse_m"] is None
 
 
+def test_the_closing_line_counts_what_the_robot_entered_and_saw():
+    metrics = {
+        "doors": {"true": 12, "passed": 5, "found_count": 4, "invented_count": 0},
+        "rooms": {"true": 10, "entered": 1, "recall": 0.99349},
+    }
+    line = in_one_line(metrics)
+    assert line == "4 of 5 doors found (7 more not passed), 0 invented, 1 of 10 rooms entered, recalled to 99.35 %"
+    nowhere = in_one_line({"rooms": {"true": 10, "entered": 0, "recall": float("nan")}})
+    assert nowhere == "0 of 10 rooms entered"
+
+
 def test_a_map_whose_floor_alone_was_moved_is_compared(run: tuple[Path, dict[str, Any]], tmp_path: Path):
     metrics = evaluate_run(open_run(moved_run(run, tmp_path, [0.0, 0.0, -0.8])), workers=1)
     assert metrics["doors"] == run[1]["doors"]
