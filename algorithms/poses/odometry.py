@@ -73,6 +73,7 @@ class Registration:
     inlier_share: share of keypoints nearer to the local map than the threshold; NaN likewise.
     refined_m: how far the refinement has moved the pose, all scans until this one together.
     refined_inlier_share, weakest_share, refused, rival_share: see `Refinement`; NaN, and False, where poses are not refined.
+        The first is NaN for the second scan, too.
     milliseconds: what registration and refinement took.
     """
 
@@ -168,7 +169,8 @@ def register_scans(
             residual_m=residual_m,
             inlier_share=inlier_share,
             refined_m=float(np.linalg.norm(refined.T_odom_sensor_end[:3, 3] - T_kiss[:3, 3])),
-            refined_inlier_share=refined.inlier_share,
+            # The map of one scan holds too little of the building to judge the second scan by.
+            refined_inlier_share=nan if number == 1 else refined.inlier_share,
             weakest_share=refined.weakest_share,
             refused=refined.refused,
             rival_share=refined.rival_share,

@@ -101,7 +101,7 @@ def test_the_way_through_a_box_is_found(scans: list[tuple[int, Scan, Scan | None
     assert off_m.max() < 0.03
     assert off_deg.max() < 1.0
     # The first scans see what the map does not hold yet.
-    assert np.median([r.refined_inlier_share for r in found]) > 0.8
+    assert np.nanmedian([r.refined_inlier_share for r in found]) > 0.8
     assert all(0 < r.weakest_share <= 1 for r in found)
     for r in found:
         np.testing.assert_allclose(r.T_odom_sensor[:3, :3] @ r.T_odom_sensor[:3, :3].T, np.eye(3), atol=1e-9)
@@ -174,6 +174,14 @@ def test_a_bare_corridor_raises_the_alarm_and_a_room_does_not(
     alarms = [weakness(r, RefinementSettings()) for r in corridor]
     assert alarms[0] is None  # the first scan is the map, of which the second one knows little
     assert all(why is not None and "nothing holds it in one direction" in why for why in alarms[2:])
+
+
+def test_the_second_scan_is_not_judged_by_a_map_of_one_scan(
+    scans: list[tuple[int, Scan, Scan | None]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = RefinementSettings(weak_inlier_share=1.0)
+    found = list(register_scans(scans[:3], OdometrySettings(), settings))
+    assert [weakness(r, settings) is None for r in found] == [True, True, False]
 
 
 def test_a_scan_of_another_place_raises_the_alarm(scans: list[tuple[int, Scan, Scan | None]]) -> None:
