@@ -22,13 +22,15 @@ def build(
     registered: bool = True,
     lines: bool = True,
     several_lidars: bool = False,
+    growing: bool = False,
 ) -> rrb.Blueprint:
     """The layout of a run's recording.
 
     line_pairs: pairs of point lines, None where there is nothing to label. centre_m, extent_m: middle and size
     of what the map views show. evaluated: with the errors that `evaluation.rrd` adds, first of all. scans: whether the
     recording has anything of single scans. several: whether it is to hold for several runs, with the list to choose from.
-    several_lidars: whether scans are of more than one lidar, so that it is told of each which.
+    several_lidars: whether scans are of more than one lidar, so that it is told of each which. growing: for a run under way,
+    which has no map yet: the views of the maps show the odometry's.
     """
     readme = rrb.TextDocumentView(origin=entities.README, name="Read me")
     about: list[Part] = [_metrics(), readme]
@@ -54,8 +56,8 @@ def build(
         which = [rrb.TextDocumentView(origin=entities.SCAN_LIDAR, name="Lidar of the scan")] if several_lidars else []
         overview = rrb.Vertical(
             rrb.Horizontal(_label_legend(), _glance(), *which),
-            rrb.Horizontal(scan, _map(centre_m, extent_m), column_shares=[1, 1]),
-            rrb.Horizontal(*how, _grid(centre_m, extent_m), column_shares=[1, 1.25, 1] if lines else [1, 1]),
+            rrb.Horizontal(scan, _map(centre_m, extent_m, growing), column_shares=[1, 1]),
+            rrb.Horizontal(*how, _grid(centre_m, extent_m, growing), column_shares=[1, 1.25, 1] if lines else [1, 1]),
             row_shares=[1, 5, 5],
             name="At a glance",
         )
@@ -117,9 +119,9 @@ def _curves(line_pairs: int, name: str = "Forward differences of all lines (eq. 
     )
 
 
-def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
+def _map(centre_m: tuple[float, float], extent_m: float, growing: bool = False) -> rrb.Spatial3DView:
     return views.space(
-        "Map up to the time cursor (ceiling hidden)",
+        "Odometry's map; the labelled map follows" if growing else "Map up to the time cursor (ceiling hidden)",
         [
             entities.MAP_POINTS,
             entities.TRAJECTORY,
@@ -131,16 +133,18 @@ def _map(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
             entities.MULLIONS,
             entities.BLINDS,
             entities.REFUSED_WALLS,
+            *([entities.LOCAL_MAP] if growing else []),
         ],
         aslant(centre_m, extent_m, (-0.35, -0.8, 0.85)),
     )
 
 
-def _grid(centre_m: tuple[float, float], extent_m: float) -> rrb.Spatial3DView:
+def _grid(centre_m: tuple[float, float], extent_m: float, growing: bool = False) -> rrb.Spatial3DView:
     grid = f"{entities.GRID}/{entities.FURNITURE_FREE}"
+    name = "From above; the grid map follows" if growing else "Grid map: wall black, free white, unseen gray; doors blue"
     return views.space(
-        "Grid map: wall black, free white, unseen gray; doors blue",
-        [grid, entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**"],
+        name,
+        [grid, entities.DOOR_SILLS, entities.TRAJECTORY, f"{entities.BASE}/**", *([entities.LOCAL_MAP] if growing else [])],
         from_above(centre_m, extent_m),
     )
 

@@ -109,6 +109,7 @@ def layout(
         scans=detail is not Detail.MAP,
         registered=record["poses_from"] == FROM_ODOMETRY,
         lines=detail is Detail.LINES,
+        growing=grid is None and record["poses_from"] == FROM_ODOMETRY,
         several_lidars=several_lidars,
     )
 

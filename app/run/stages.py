@@ -158,7 +158,7 @@ def _sensors(run: Run) -> dict[str, FloatArray]:
 
 
 def _log_start(run: Run) -> None:
-    if run.log is None:
+    if run.log is None or run.recording is None:
         return
     slope_max = run.settings.vertical_structures.slope_max
     log_static(run.log, _sensors(run), entities.explain(run.record), run.inputs.line_pairs, slope_max)
@@ -168,6 +168,8 @@ def _log_start(run: Run) -> None:
     send_properties(run.log.stream, "settings", run.settings.model_dump(mode="json"))
     told = ("settings_hash", "bag", "versions", "started")
     send_properties(run.log.stream, "run", {name: run.record[name] for name in told if name in run.record})
+    # A viewer shows what the views are while the first scans are registered.
+    run.recording.cut()
 
 
 _TOLD_ELSEWHERE = ("statistics", "warnings", "bag", "tracebacks")
