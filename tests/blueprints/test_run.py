@@ -137,6 +137,13 @@ def test_the_first_tab_says_what_it_shows_and_where_all_is_explained(
     )
 
 
+def test_until_there_is_a_map_the_odometrys_is_shown():
+    for growing in (False, True):
+        shown = [view for view in views(run.build(growing=growing).root_container) if entities.TRAJECTORY in view.contents]
+        maps = [str(view.name) for view in shown if entities.LOCAL_MAP in view.contents]
+        assert maps == (["Odometry's map; the labelled map follows", "From above; the grid map follows"] if growing else [])
+
+
 def test_the_evaluation_explains_its_colours():
     for evaluated in (True, False):
         for scans in (True, False):

@@ -37,6 +37,7 @@ from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import FFMAP_BEHIND, FFMAP_IN_FRONT, ffmap, ffmap_here, kill_once, with_cache
+from tests.receiver import content, receiving, shown
 
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
 FILES = [
@@ -647,6 +648,17 @@ def test_a_run_in_the_background_is_not_interrupted(
     said = process.communicate(timeout=120)[1]
     assert process.returncode == 0, said
     assert json.loads((out / "run.json").read_text())["outcome"] == "complete"
+
+
+def test_a_viewer_receives_the_whole_run(bags: dict[str, Path], environment: dict[str, str], tmp_path: Path) -> None:
+    with receiving(tmp_path / "seen.rrd") as viewer:
+        words = ("--outputs", "recording,maps", "--no-evaluate", "--connect", viewer.url)
+        done = ffmap_here(environment, "run", bags["bag"], "--out", tmp_path / "a", *words)
+        assert done.returncode == 0, done.stderr
+        assert viewer.holds(tmp_path / "a" / "recording.rrd")
+        assert "Odometry's map; the labelled map follows" not in shown(viewer.path)
+    scans = json.loads((tmp_path / "a" / "run.json").read_text())["counts"]["scans"]
+    assert content(viewer.path)[0][entities.POINTS, entities.SCAN_TIMELINE] >= scans > 0
 
 
 def test_viewer_that_ends_is_one_line_and_no_run_goes_on(

@@ -43,8 +43,9 @@ def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LI
     return folder / "recording.rrd"
 
 
-def start(folder: Path, recording_id: str) -> Recording:
-    return Recording(folder / "recording.rrd", folder, recording_id, run_blueprint.build())
+def start(folder: Path, recording_id: str, *viewer: Any) -> Recording:
+    """viewer: where it listens, and who prints that it has ended; none if it is left out."""
+    return Recording(folder / "recording.rrd", folder, recording_id, run_blueprint.build(), *viewer)
 
 
 def rows(path: Path, entity: str, index: str = entities.SCAN_TIMELINE) -> Iterator[dict[str, Any]]:

@@ -14,6 +14,7 @@ from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
 from tests import synthetic
 from tests.app.record.recordings import rows, start, write_block
+from tests.receiver import receiving, shown
 
 
 def test_forwarding_keeps_every_chunk(recording):
@@ -106,6 +107,40 @@ def test_a_wrong_shape_is_an_error(tmp_path):
         open_part(tmp_path / "block.rrd", "run-7") as stream,
     ):
         stream.log("/points", rr.Points3D(np.zeros((3, 4))))
+
+
+def test_a_viewer_receives_every_chunk_and_the_last_layout(tmp_path, labelled):
+    with receiving(tmp_path / "seen.rrd") as viewer:
+        recording = start(tmp_path, "run-1", viewer.url)
+        recording.cut()  # nothing but the properties
+        recording.cut()  # nothing at all
+        write_block(tmp_path / "block.rrd", labelled, 0, 2)
+        with open_part(tmp_path / "empty.rrd", "run-1"):
+            pass
+        for part in ("empty.rrd", "block.rrd"):
+            recording.add(tmp_path / part)
+        Log(recording.stream).message("the end", synthetic.stamp_ns(1))
+        recording.set_layout(run_blueprint.build(evaluated=True))
+        recording.finish()
+        assert viewer.holds(tmp_path / "recording.rrd")
+        # Without this view, a layout has an evaluation.
+        assert "What this needs" not in shown(viewer.path)
+
+
+def test_a_viewer_that_ends_does_not_end_the_run(tmp_path):
+    said: list[str] = []
+    with receiving(tmp_path / "seen.rrd") as viewer:
+        recording = start(tmp_path, "run-11", viewer.url, said.append)
+        for number in range(4):
+            Log(recording.stream).message(f"part {number}", synthetic.stamp_ns(number))
+            if number == 2:
+                viewer.end()
+            recording.cut()
+        recording.set_layout(run_blueprint.build())
+        recording.finish()
+    assert said == ["The viewer has ended. The run continues without it."]
+    texts = [row["text"] for row in rows(tmp_path / "recording.rrd", entities.MESSAGES, entities.STAMP_TIMELINE)]
+    assert [str(text[0]) for text in texts] == [f"part {number}" for number in range(4)]
 
 
 def test_a_viewer_that_is_not_there_is_an_error_and_not_a_wait(tmp_path):
