@@ -77,7 +77,7 @@ def refine_mount(
     rms_before_m = _rms(moving.distances(x, *matched))
     if rms_before_m <= agree_m and np.count_nonzero(matched[0]) >= _RETURNS_MIN:
         kept = (T_base_sensor, 0.0, np.full(7, np.nan), rms_before_m, rms_before_m)
-        return Mount(*kept, np.count_nonzero(matched[0]))
+        return Mount(*kept, int(np.count_nonzero(matched[0])))
     for reach_m in _REACHES_M:
         moving = _Moving.of(transforms.apply(T_correction, points_base), stamp_ns + round(1e9 * clock_s), trajectory)
         matched = _match(moving, patches, tree, reach_m)
