@@ -474,6 +474,7 @@ class Rooms(RoomsParameters):
 
     Writes rooms.geojson, topology.json, rooms.png and rooms.rrd. Free is white (over 250) in an image; a YAML file has
     its own thresholds. In a folder, every X.png that has its Y_gt_segmentation.png beside it is compared with that.
+    If some maps of a folder fail, the others are compared, each failure is one line, and the exit code is 2.
 
     Examples:
 

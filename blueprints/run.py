@@ -48,10 +48,12 @@ def build(
         tabs += [_map(centre_m, extent_m), poses]
     else:
         planes = [entities.PLANES, entities.OPENINGS]
-        how: list[Part] = [_scan_view("Wall planes and doors of the scan", planes, views.WITHOUT_NAMES)]
+        # The viewer reports an error for an override of an entity that has no line yet.
+        names = None if growing else views.WITHOUT_NAMES
+        how: list[Part] = [_scan_view("Wall planes and doors of the scan", planes, names)]
         if lines:
             title = "Point lines and wall planes; white: the line drawn large"
-            how = [_scan_view(title, [f"{entities.LINES}/**", *planes], views.WITHOUT_NAMES), _curves(line_pairs)]
+            how = [_scan_view(title, [f"{entities.LINES}/**", *planes], names), _curves(line_pairs)]
         scan = _scan_view("Labelled scan", [entities.POINTS, entities.OPENINGS])
         which = [rrb.TextDocumentView(origin=entities.SCAN_LIDAR, name="Lidar of the scan")] if several_lidars else []
         overview = rrb.Vertical(
