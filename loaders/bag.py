@@ -308,8 +308,7 @@ def _open_folder(folder: Path, warnings: list[str]) -> list[BagFile]:
                 raise InputError(f"{folder}: metadata.yaml names no readable bag ({_one_line(error)})") from error
             warnings.append(f"{folder.name}: metadata.yaml does not fit ({_one_line(error)}); the data files are read")
         else:
-            _warn_of_unread(folder, [Path(str(storage.path)).name for storage in reader.storages], warnings)
-            return _files_of(folder, reader)
+            return _files_of(folder, reader, warnings)
     elif not files:
         raise InputError(f"{folder}: the folder holds no bag; {_WAYS_OUT}")
     else:
@@ -351,9 +350,10 @@ def _warn_of_unread(folder: Path, read: Collection[str], warnings: list[str]) ->
         )
 
 
-def _files_of(path: Path, reader: FolderReader) -> list[BagFile]:
+def _files_of(path: Path, reader: FolderReader, warnings: list[str]) -> list[BagFile]:
     """The files of a folder with metadata.yaml, which may overlap in time; of a compressed bag rosbags alone can read them."""
     storages = [storage for storage in reader.storages if isinstance(storage, McapReader | SqliteReader)]
+    _warn_of_unread(path, [Path(str(storage.path)).name for storage in storages], warnings)
     container: Container = "mcap" if any(isinstance(storage, McapReader) for storage in storages) else "sqlite3"
     if reader.metadata.compression_mode or not storages:
         return [_opened(path, container, reader)]

@@ -224,13 +224,13 @@ def _summarise(run: Run, blocks: list[Block], summaries: list[BlockSummary]) -> 
         scans, off_m = scan[rejected_m != 0], float(np.median(rejected_m[rejected_m != 0]))
         side = "below" if off_m < 0 else "above"
         run.warn(
-            f"{len(scans):,} scans ({_ranges(scans)}) show more ground {100 * abs(off_m):.0f} cm {side} the floor under the "
+            f"{len(scans):,} scans ({ranges(scans)}) show more ground {100 * abs(off_m):.0f} cm {side} the floor under the "
             "robot than at its height, as outside a window; it was not taken for the floor. "
             f"'ffmap inspect {run.folder.path} --scan {scans[0]}' shows it"
         )
 
 
-def _ranges(numbers: IntArray) -> str:
+def ranges(numbers: IntArray) -> str:
     """Ascending numbers as in "3 to 5, 9"; the first few ranges of many."""
     parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
     told = [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in parts[:_REASONS_TOLD]]
