@@ -233,7 +233,7 @@ def gap_problem(index: CloudIndex) -> str | None:
     first_ns = index.stamp_ns[index.usable][0]
     named = ", ".join(f"{long_ns / 1e9:.1f} s after {(at_ns - first_ns) / 1e9:.1f} s" for at_ns, long_ns in found[:_GAPS_NAMED])
     more = f" and in {len(found) - _GAPS_NAMED} shorter gaps" if len(found) > _GAPS_NAMED else ""
-    return f"{index.topic} has no clouds for {named}{more}: how the robot moved in a gap is not known"
+    return f"{index.topic} has no clouds for {named}{more}: the driver or the recorder lost them"
 
 
 def cloud_topics(bag: Bag) -> list[str]:

@@ -48,6 +48,11 @@ class GaussianCloud:
         """(m, 3) float32."""
         return np.asarray(self.cloud.points())[:, :3].astype(np.float32)
 
+    @property
+    def normals(self) -> FloatArray:
+        """(m, 3) float32 unit vectors, of the neighbourhoods' planes."""
+        return np.asarray(self.cloud.normals())[:, :3].astype(np.float32)
+
 
 class GaussianMap:
     """Voxels with one Gaussian each.

@@ -72,7 +72,7 @@ class Registration:
     residual_m: median distance of the keypoints to the local map; NaN where that was not kept.
     inlier_share: share of keypoints nearer to the local map than the threshold; NaN likewise.
     refined_m: how far the refinement has moved the pose, all scans until this one together.
-    refined_inlier_share, weakest_share, refused, rival_share: see `Refinement`; NaN, and False, where poses are not refined.
+    refined_inlier_share, weakest_share, refused, agreement, rival: see `Refinement`; NaN, and False, where poses are not refined.
         The first is NaN for the second scan, too.
     milliseconds: what registration and refinement took.
     """
@@ -90,7 +90,8 @@ class Registration:
     refined_inlier_share: float
     weakest_share: float
     refused: bool
-    rival_share: float
+    agreement: float
+    rival: float
     milliseconds: float
 
 
@@ -144,7 +145,7 @@ def register_scans(
             )
             T_kiss = odometry.last_pose.copy()
             nan, kept = float("nan"), keypoints.astype(np.float32)
-            unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, nan, kept)
+            unrefined = Refinement(scan.end_ns, T_kiss, T_kiss, nan, nan, False, nan, nan, kept)
             refined = refiner.refine(scan, T_kiss, companion, after_gap=periods > 0) if refiner else unrefined
         except Exception as error:
             if on_failure is None or isinstance(error, MemoryError | OSError):
@@ -173,7 +174,8 @@ def register_scans(
             refined_inlier_share=nan if number == 1 else refined.inlier_share,
             weakest_share=refined.weakest_share,
             refused=refined.refused,
-            rival_share=refined.rival_share,
+            agreement=refined.agreement,
+            rival=refined.rival,
             milliseconds=milliseconds,
         )
 
@@ -248,14 +250,13 @@ def weakness(registration: Registration, settings: RefinementSettings) -> str | 
 
 def doubt(registration: Registration) -> str | None:
     """In words, why a scan after a gap may be placed wrongly, and all after it; None where it is not."""
-    share, rival_share = registration.refined_inlier_share, registration.rival_share
-    if np.isnan(rival_share):
+    if np.isnan(registration.agreement):
         return None
     if registration.refused:
-        return f"at most {share:.0%} of a scan fits it anywhere; its place was guessed by carrying on the motion before"
-    if is_clear(share, rival_share):
+        return "nothing of the map is in sight; the motion before was carried on"
+    if is_clear(registration.agreement, registration.rival):
         return None
-    return f"{share:.0%} of a scan fits it at the likeliest place, {rival_share:.0%} at another one"
+    return "what is seen there fits another place as well"
 
 
 def _sweep_fraction(scan: Scan) -> FloatArray:

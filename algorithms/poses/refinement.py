@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.correlation import likely_motions
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
+from ffmap.algorithms.poses.places import Seen
 
 _CHANGE_DEG, _CHANGE_M = 6.0, 0.15
 """By how much a motion over a tenth of a second may differ from the one before. A robot that brakes from a quick turn changes it
@@ -20,14 +20,14 @@ by 3 degrees, a lidar in the hand by up to 6; the rest is noise."""
 _CHANGE_DEG_S, _CHANGE_M_S = 90.0, 2.0
 """What a robot, or who carries a lidar, can turn and go otherwise than expected in each further second."""
 _STEP_NS = 100_000_000  # the tenth of a second; a motion is carried on in such steps, along its arc
-_RECALLED_MAX = 100  # scans that a place is looked for in
-_UPRIGHT_MIN = 3  # points, one in each cube, above one another: a wall, where floor and ceiling have one each
-_PLACES_MAX = 8
-_SEEN_M = 5.0  # how much farther off than a place the sensor may have been when it saw what is seen from there
-_SAME_DEG, _SAME_M = 10.0, 0.5  # registrations that differ by less, and fit as well, may yet be of one place
-_RIVAL_SHARE = 0.05  # a place at the end of what is within reach must fit by so much more of the scan than the expected one
-_CLEAR_SHARE = 0.2  # in foreign buildings the best place fits at most 14 points more of a scan than the next one, and at most half
 _BLIND_NS = 2_000_000_000  # for so long a motion is carried on where nothing fits: robots change theirs within a second or two
+_RECALLED_MAX = 100  # scans that a place is looked for in
+_SEEN_M = 5.0  # how much farther off than a place the sensor may have been when it saw what is seen from there
+_PLACES_MAX, _PUT_TOGETHER_MAX = 8, 3  # places that are registered to, and of these the ones with other motions
+_SAME_DEG, _SAME_M = 10.0, 0.5  # registrations that differ by less are of one place
+_AGREEMENT_MIN = 0.3
+"""Of 70 scans, the best place in another building's map has at most 0.12, the right place in their own at least 0.49."""
+_RIVAL = 0.05  # a place at the end of what is within reach must agree by so much more than the expected one
 
 
 class RefinementSettings(StepSettings):
@@ -118,7 +118,8 @@ class Refinement:
     weakest_share: how well the scan holds its place in the direction in which it holds it least, as a share of how well
         it does in the best one; near 0 in a corridor without a feature. 1 for the first scan.
     refused: whether the registration was: it jumped. The pose is then where the odometry's motion leads.
-    rival_share: the share that fits at the best other place after a gap, 0 where none had to be looked for; NaN after no gap.
+    agreement: after a gap, of the scan with what was seen before (see `Seen`); rival: the same at the best other place, 0 where
+        none had to be looked for. NaN elsewhere.
     cloud_sensor: (k, 3) float32, both lidars' returns that were registered, as they are seen at `stamp_ns`.
     """
 
@@ -128,7 +129,8 @@ class Refinement:
     inlier_share: float
     weakest_share: float
     refused: bool
-    rival_share: float
+    agreement: float
+    rival: float
     cloud_sensor: FloatArray
 
 
@@ -162,7 +164,17 @@ class _Found(NamedTuple):
     inlier_share: float
     weakest_share: float
     refused: bool
-    rival_share: float = float("nan")
+    agreement: float = float("nan")
+    rival: float = float("nan")
+
+
+class _Place(NamedTuple):
+    """A scan after a gap, registered at one place: by which motion it was put together, and how far off the place is."""
+
+    aligned: Aligned
+    number: int
+    off: float
+    agreement: float
 
 
 class Change(NamedTuple):
@@ -184,9 +196,9 @@ def may_change(elapsed_ns: int) -> Change:
     return Change(_CHANGE_DEG + _CHANGE_DEG_S * further_s, _CHANGE_M + _CHANGE_M_S * further_s)
 
 
-def is_clear(share: float, rival_share: float) -> bool:
-    """Whether so much of a scan, and so much at the next best place, shows where the scan was taken."""
-    return share - rival_share >= (_RIVAL_SHARE if share >= 0.5 else _CLEAR_SHARE)
+def is_clear(agreement: float, rival: float) -> bool:
+    """Whether a scan agrees so well at its place, and so much less at the next best one, that it was taken there."""
+    return agreement >= _AGREEMENT_MIN and agreement - rival >= _RIVAL
 
 
 def carried_on(T: FloatArray, motion_per_ns: FloatArray, elapsed_ns: int) -> FloatArray:
@@ -297,7 +309,8 @@ class Refiner:
             inlier_share=found.inlier_share,
             weakest_share=found.weakest_share,
             refused=found.refused,
-            rival_share=found.rival_share,
+            agreement=found.agreement,
+            rival=found.rival,
             cloud_sensor=cloud_sensor,
         )
 
@@ -306,8 +319,8 @@ class Refiner:
     ) -> tuple[_Found, GaussianCloud, FloatArray]:
         """The scan after a gap registered from wherever it may be to all that was seen: what it found, the cloud, the motion.
 
-        The sensor may have moved on as it did, or stand, or be at one of the likeliest places within reach. What fits most of
-        the scan counts; the farther from where the motion so far, or none, leads, the more has to fit.
+        The sensor may have moved on as it did, or stand, or be at one of the likeliest places within reach. Where it agrees
+        best counts; the farther from where the motion so far, or none, leads, the better it has to agree.
         """
         stamp_ns = middle_ns(scan)
         elapsed_ns = stamp_ns - last.stamp_ns
@@ -316,57 +329,55 @@ class Refiner:
         sources = [self._put_together(scan, companion, stamp_ns, motion) for motion in motions]
         expected = [carried_on(last.T_refined, motion, elapsed_ns) for motion in motions]
 
-        def off(T: FloatArray) -> float:
-            return min(change.share_of(T_expected, T) for T_expected in expected)
+        seen = self._recall(last.T_refined, change.metres + _SEEN_M)
+        fits: list[_Place] = []
 
-        def fits_from(starts: list[tuple[int, FloatArray]]) -> list[tuple[Aligned, int]]:
-            aligned = [(self._settled(sources[number], guess), number) for number, guess in starts]
-            # How the sensor moved within this sweep, only a fit shows.
-            aligned += [(self._settled(sources[1 - k], found.T_map_cloud), 1 - k) for found, k in aligned]
-            return [fit for fit in aligned if off(fit[0].T_map_cloud) <= 1.0]
+        def try_from(number: int, guess: FloatArray) -> None:
+            aligned = self._settled(sources[number], guess)
+            off = min(change.share_of(T, aligned.T_map_cloud) for T in expected)
+            if off <= 1.0:
+                fits.append(_Place(aligned, number, off, seen.agreement(sources[number], aligned.T_map_cloud)))
 
-        fits = fits_from(list(enumerate(expected)))
-        if max((found.inlier_share for found, _ in fits), default=0.0) < self._inlier_share - self._settings.fit_drop_max:
-            places = self._places(sources[0].points, last.T_refined, change.metres + _SEEN_M)
-            fits += fits_from([(0, T) for T in places if off(T) <= 1.0][:_PLACES_MAX])
-        fits = fits or [(Aligned(expected[0], 0.0, np.zeros((6, 6))), 0)]
-        found, number = max(fits, key=lambda fit: fit[0].inlier_share - _RIVAL_SHARE * off(fit[0].T_map_cloud))
-        rivals = (other.inlier_share for other, _ in fits if not _is_same(found.T_map_cloud, other.T_map_cloud))
-        rival_share = max(rivals, default=0.0)
-        share = found.inlier_share
-        refused = share < self._settings.weak_inlier_share and share - rival_share < _CLEAR_SHARE
-        T_found = expected[0] if refused else found.T_map_cloud
-        answer = _Found(T_found, share, _weakest_share(found), refused, rival_share)
-        return answer, sources[number], motions[number]
+        for number, guess in enumerate(expected):
+            try_from(number, guess)
+        if max((fit.agreement for fit in fits), default=0.0) < 1.0 - _RIVAL:
+            places: list[FloatArray] = []
+            for T in seen.likely_places(sources[0].points, last.T_refined):
+                within_reach = min(change.share_of(T_expected, T) for T_expected in expected) <= 1.0
+                if within_reach and len(places) < _PLACES_MAX and not any(_is_same(T, other) for other in places):
+                    places.append(T)
+            for T in places:
+                try_from(0, T)
+        # How the sensor moved within this sweep, as before, not at all or as in the gap, only a fit shows.
+        for fit in sorted(fits, key=lambda fit: -fit.agreement)[:_PUT_TOGETHER_MAX]:
+            way = transforms.to_twist(transforms.invert(last.T_refined) @ fit.aligned.T_map_cloud)
+            for motion_per_ns in (motions[1 - fit.number], way / elapsed_ns):
+                motions.append(motion_per_ns)
+                sources.append(self._put_together(scan, companion, stamp_ns, motion_per_ns))
+                try_from(len(sources) - 1, fit.aligned.T_map_cloud)
+        nowhere = _Place(Aligned(expected[0], 0.0, np.zeros((6, 6))), 0, 0.0, 0.0)
+        best = max(fits, key=lambda fit: fit.agreement - _RIVAL * fit.off, default=nowhere)
+        rivals = (fit.agreement for fit in fits if not _is_same(best.aligned.T_map_cloud, fit.aligned.T_map_cloud))
+        refused = best.agreement < _AGREEMENT_MIN
+        T_found = expected[0] if refused else best.aligned.T_map_cloud
+        share, weakest = best.aligned.inlier_share, _weakest_share(best.aligned)
+        found = _Found(T_found, share, weakest, refused, best.agreement, max(rivals, default=0.0))
+        return found, sources[best.number], motions[best.number]
+
+    def _recall(self, T_odom_last: FloatArray, reach_m: float) -> Seen:
+        """What was seen from within reach, which is put into the map again."""
+        seen = [pair for pair in self._seen if np.linalg.norm(pair[0][:3, 3] - T_odom_last[:3, 3]) < reach_m]
+        seen = seen[:: -(-len(seen) // _RECALLED_MAX)]
+        points_odom = np.concatenate([transforms.apply(T, points) for T, points in seen])
+        cloud_odom = GaussianCloud(points_odom, self._settings.resolution_m, self._settings.neighbours)
+        self._map.insert(cloud_odom, np.eye(4))
+        return Seen(cloud_odom, self._T_level_odom)
 
     def _settled(self, source: GaussianCloud, guess: FloatArray) -> Aligned:
         """A registration from afar, then within the usual distance."""
         settings = self._settings
         lost = self._map.register(source, guess, settings.lost_distance_m, settings.iterations_max)
         return self._map.register(source, lost.T_map_cloud, settings.distance_m, settings.iterations_max)
-
-    def _places(self, points_sensor: FloatArray, T_odom_last: FloatArray, reach_m: float) -> list[FloatArray]:
-        """Poses (4, 4) from which the sensor may see what it sees, the likeliest first; what was seen there is in the map again."""
-        seen = [pair for pair in self._seen if np.linalg.norm(pair[0][:3, 3] - T_odom_last[:3, 3]) < reach_m]
-        seen = seen[:: -(-len(seen) // _RECALLED_MAX)]
-        settings = self._settings
-        points_odom = np.concatenate([transforms.apply(T, points) for T, points in seen])
-        recalled = GaussianCloud(points_odom, settings.resolution_m, settings.neighbours)
-        self._map.insert(recalled, np.eye(4))
-        T_level_last = self._T_level_odom @ T_odom_last
-        turned = transforms.make_transform(transforms.rotation_of(T_level_last))
-        target = _upright(transforms.apply(self._T_level_odom, recalled.points), settings.resolution_m)
-        source = _upright(transforms.apply(turned, points_sensor), settings.resolution_m)
-        if not len(source) or not len(target):
-            return []
-        places: list[FloatArray] = []
-        for T_plane in likely_motions(source, target):
-            yaw_rad, height_m = float(np.arctan2(T_plane[1, 0], T_plane[0, 0])), T_level_last[2, 3]
-            T_level_sensor = transforms.from_yaw(yaw_rad, [*T_plane[:2, 2], height_m]) @ turned
-            T = transforms.invert(self._T_level_odom) @ T_level_sensor
-            if not any(_is_same(T, other) for other in places):
-                places.append(T)
-        return places
 
     def _start_again(self, scan: Scan, companion: Scan | None, first: _Registered, motion_per_ns: FloatArray) -> None:
         """The map of the first scan alone, put together by a motion that was not known when it came."""
@@ -451,13 +462,6 @@ def _weakest_share(found: Aligned) -> float:
 
 def _is_same(T: FloatArray, T_other: FloatArray) -> bool:
     return Change(_SAME_DEG, _SAME_M).share_of(T, T_other) <= 1.0
-
-
-def _upright(points_level: FloatArray, cube_m: float) -> FloatArray:
-    """Middles (k, 2) of the columns, as wide as cubes, in which points (n, 3) lie above one another."""
-    cubes = np.unique(np.floor(points_level / cube_m).astype(np.int64), axis=0)
-    columns, count = np.unique(cubes[:, :2], axis=0, return_counts=True)
-    return (columns[count >= _UPRIGHT_MIN] + 0.5) * cube_m
 
 
 def _is_more_than(twist: FloatArray, most_deg: float, most_m: float) -> bool:

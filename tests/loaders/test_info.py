@@ -43,7 +43,7 @@ def test_what_is_missing_is_said(tmp_path):
     assert info.clouds[0].index.gaps == [(START_NS + 4 * PERIOD_NS, 16 * PERIOD_NS)]
     (line, _) = [line for line in describe(info) if "gap:" in line]
     assert line.strip() == f"gap: 1.60 s after {START_NS / 1e9 + 0.4:.3f} (0.4 s from the first cloud)"
-    words = "/a has no clouds for 1.6 s after 0.4 s: how the robot moved in a gap is not known"
+    words = "/a has no clouds for 1.6 s after 0.4 s: the driver or the recorder lost them"
     assert gap_problem(info.clouds[0].index) == words
     text = " ".join(info.missing)
     for part in ("rings on /a", "times on /b", "transforms: several lidars need --rig", "truth"):

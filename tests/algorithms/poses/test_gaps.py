@@ -56,7 +56,7 @@ def test_the_scan_after_a_gap_is_found_whatever_the_robot_did_in_it(
     assert off_m.max() < 0.04
     assert off_deg.max() < 1.5
     assert [doubt(r) for r in found] == [None] * len(found)
-    assert [np.isnan(r.rival_share) for r in found] == [True] * GAP_AT + [False] + [True] * 4
+    assert [np.isnan(r.agreement) for r in found] == [True] * GAP_AT + [False] + [True] * 4
 
 
 def elsewhere(monkeypatch: pytest.MonkeyPatch) -> list[Scan]:
@@ -82,7 +82,7 @@ def test_what_is_seen_nowhere_in_the_map_is_placed_by_the_motion_after_a_short_g
     assert len(found) == 24
     why = doubt(found[GAP_AT])
     assert why is not None
-    assert "carrying on the motion" in why
+    assert "nothing of the map is in sight" in why
     step = transforms.invert(found[GAP_AT - 1].T_odom_sensor) @ found[GAP_AT].T_odom_sensor
     np.testing.assert_allclose(step[:3, 3], [0.88, 0.0, 0.0], atol=0.05)
 

@@ -300,9 +300,9 @@ def test_the_side_of_a_wall_that_comes_into_view_is_not_taken_for_its_other_side
     ]  # fmt: skip
     refiner._map.insert(GaussianCloud(np.concatenate(room), 0.2, 12), np.eye(4))
     cloud = GaussianCloud(np.concatenate(seen), 0.2, 12)
-    T, _, _, refused, _ = refiner._register(cloud, [np.eye(4)], [np.eye(4)], may_change(PERIOD_NS))
-    assert not refused
-    off_m = float(np.linalg.norm(T[:3, 3]))
+    found = refiner._register(cloud, [np.eye(4)], [np.eye(4)], may_change(PERIOD_NS))
+    assert not found.refused
+    off_m = float(np.linalg.norm(found.T_odom_sensor[:3, 3]))
     assert off_m < most_m
     assert distance_m < 0.2 or off_m > 0.03  # what it is for
 
