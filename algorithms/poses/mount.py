@@ -110,19 +110,19 @@ def refine_mount(
     )
 
 
-def surfaces_rms_m(
+def surfaces_agreement(
     patches: Patches,
     trajectory: Trajectory,
     scans: Sequence[Scan],
     T_base_sensor: FloatArray,
     returns_max: int,
-) -> float:
-    """RMS distance (m) of the scans' returns from the patches, as `rms_before_m`; NaN: they do not meet."""
-    if not len(patches.centre):
-        return float("nan")
+) -> tuple[float, float]:
+    """RMS distance (m) of the scans' returns from the patches within reach, and the share of those."""
+    if not len(patches.centre) or not scans:
+        return float("nan"), 0.0
     moving = _Moving.of(*_returns(scans, T_base_sensor, returns_max), trajectory)
     matched = _match(moving, patches, cKDTree(patches.centre), REACH_M)
-    return _rms(moving.distances(np.zeros(7), *matched))
+    return _rms(moving.distances(np.zeros(7), *matched)), float(matched[0].mean())
 
 
 def _moved(x: FloatArray) -> FloatArray:

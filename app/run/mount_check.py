@@ -8,7 +8,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
-from ffmap.algorithms.poses.mount import Mount, refine_mount, surfaces_rms_m
+from ffmap.algorithms.poses.mount import Mount, refine_mount, surfaces_agreement
 from ffmap.algorithms.poses.patches import Patches
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.settings import Settings
@@ -129,7 +129,7 @@ def check_mounts(
     # Those between the scans that made the patches.
     own = scans_of(inputs, inputs.horizontal, odometry, settings, 2 * mapped - 1)[1::2]
     T_base_own = inputs.horizontal.lidar.T_base_sensor
-    own_rms_m = surfaces_rms_m(patches, odometry, own, T_base_own, returns)
+    own_rms_m, _ = surfaces_agreement(patches, odometry, own, T_base_own, returns)
     checked = []
     for sensor in inputs.others:
         scans = scans_of(inputs, sensor, odometry, settings, laid)

@@ -8,7 +8,7 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.poses.mount import REACH_M, surfaces_rms_m
+from ffmap.algorithms.poses.mount import REACH_M, surfaces_agreement
 from ffmap.algorithms.poses.patches import Patches
 from ffmap.app.run.mount_check import laid_out, scans_of
 from ffmap.app.setup.inputs import Inputs, Sensor
@@ -27,6 +27,8 @@ reach where returns lie at random."""
 _FITS, _BLURRED = 2.5, 1.5
 """Multiples of the noise: below the first, a frame may be the right one (KISS-ICP's own poses have 2.1);
 above the second, a user is warned."""
+_SHARE_MIN = 0.05
+"""Minimum share of the returns within reach of a surface; poses 100 times too far apart have 0.02."""
 _FRAMES_MAX = 12
 """Maximum number of the bag's frames that are tried; of more, those of the lidars."""
 _T_FRAME_CAMERA = np.array(
@@ -83,20 +85,22 @@ def find_pose_frame(
         )
     scans = scans_of(inputs, sensor, given, settings, _SCANS)
 
-    def rms_m(T_base_frame: FloatArray) -> float:
-        return _agreement_m(_of_base(given, T_base_frame), sensor, scans[::2], scans[1::2])
+    def agreement(T_base_frame: FloatArray) -> tuple[float, float]:
+        return _agreement(_of_base(given, T_base_frame), sensor, scans[::2], scans[1::2])
 
     best, T_best = frame or base, known[frame or base]
-    by_base = _of_base(given, T_best)
-    noises = [_agreement_m(by_base, sensor, [scan], [scan]) for scan in scans[::_NOISE_EVERY]]
+    as_given = _of_base(given, T_best)
+    noises = [_agreement(as_given, sensor, [scan], [scan])[0] for scan in scans[::_NOISE_EVERY]]
     noise_m = float(np.median(noises)) if noises else float("nan")
-    best_m = as_base_m = rms_m(T_best)
+    best_m, share = agreement(T_best)
+    as_base_m = best_m
     if frame is None and best_m > _BETTER * noise_m:
-        tried = {other: (rms_m(T), T) for other, T in _candidates(known, inputs).items()}
-        other = min(tried, key=lambda one: np.nan_to_num(tried[one][0], nan=np.inf))
-        if _BETTER * tried[other][0] < as_base_m and tried[other][0] < _FITS * noise_m:
-            best, (best_m, T_best) = other, tried[other]
-    if best_m > max(_CHANCE_M, _FITS * noise_m):
+        for other, T in _candidates(known, inputs).items():
+            other_m, other_share = agreement(T)
+            fits = other_m < _FITS * noise_m and _BETTER * other_m < as_base_m
+            if fits and other_m < best_m and other_share > share:
+                best, T_best, best_m, share = other, T, other_m, other_share
+    if best_m > _FITS * noise_m and (best_m > _CHANCE_M or share < _SHARE_MIN):
         raise InputError(
             f"--trajectory {name}: surfaces that {sensor.lidar.topic} saw at different times do not "
             f"meet ({100 * best_m:.1f} cm apart), of whatever frame the poses are; give poses of this "
@@ -130,10 +134,10 @@ def _candidates(known: dict[str, FloatArray], inputs: Inputs) -> dict[str, Float
     return frames | cameras
 
 
-def _agreement_m(
+def _agreement(
     odometry: Trajectory, sensor: Sensor, mapped: Sequence[Scan], laid: Sequence[Scan]
-) -> float:
-    """RMS distance (m) of the returns of some scans from the surfaces of others; NaN: unknown."""
+) -> tuple[float, float]:
+    """How the returns of some scans agree with the surfaces of others; see `surfaces_agreement`."""
     T = sensor.lidar.T_base_sensor
     patches = Patches.of(laid_out(mapped, odometry, T), cube_m=0.1, neighbours=16)
-    return surfaces_rms_m(patches, odometry, laid, T, _RETURNS)
+    return surfaces_agreement(patches, odometry, laid, T, _RETURNS)
