@@ -81,8 +81,13 @@ def test_poses_of_the_base_stay_and_a_frame_can_be_named(
         given(inputs, tmp_path / "b.tum", T, true.stamp_ns, "nowhere")
 
 
-def test_poses_by_which_no_surfaces_meet_are_refused(
+def test_poses_by_which_surfaces_disagree_are_told_or_refused(
     inputs: Inputs, true: Trajectory, tmp_path: Path
 ) -> None:
+    backwards = given(inputs, tmp_path / "a.tum", true.T_map_base[::-1], true.stamp_ns)
+    assert "which blurs the map" in backwards.warnings[0]
+    assert backwards.frame == inputs.rig.base_frame
+    T = true.T_map_base.copy()
+    T[:, :3, 3] *= 100.0
     with pytest.raises(InputError, match="saw at different times do not meet"):
-        given(inputs, tmp_path / "a.tum", true.T_map_base[::-1], true.stamp_ns)
+        given(inputs, tmp_path / "a.tum", T, true.stamp_ns)
