@@ -16,7 +16,7 @@ from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 
 _SCANS, _RETURNS = 31, 10_000
-"""Number of scans over the whole drive, every second of which makes the patches; of returns."""
+"""Number of scans of the drive, every second of which makes the patches, and of returns on those."""
 _NOISE_EVERY = 4
 """Of these scans, every fourth shows the noise: its returns about its own surfaces."""
 _BETTER = 1.15
@@ -24,8 +24,8 @@ _BETTER = 1.15
 _CHANCE_M = 0.7 * REACH_M / np.sqrt(3.0)
 """RMS distance (m) beyond which surfaces seen at different times do not meet: it is 1/sqrt(3) of the
 reach where returns lie at random."""
-_FITS, _BLURRED = 2.5, 1.5
-"""Multiples of the noise: below the first, a frame may be the right one (KISS-ICP's own poses have 2.1);
+_FITS, _BLURRED = 3.0, 1.5
+"""Multiples of the noise: below the first, a frame may be the right one (KISS-ICP's own poses have 2.4);
 above the second, a user is warned."""
 _SHARE_MIN = 0.05
 """Minimum share of the returns within reach of a surface; poses 100 times too far apart have 0.02."""
