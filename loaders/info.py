@@ -122,7 +122,7 @@ def _describe_cloud(bag: Bag, topic: str, time_from: TimeFrom) -> CloudInfo:
     try:
         messages = sample_messages(bag, index, _SAMPLES)
         decoding = settle_decoding(messages, topic, time_from, index.period_ns)
-        check_one_lidar(index, decoding.time.span_ns if decoding.time else None)
+        check_one_lidar(index, decoding)
     except CloudError as error:
         problem = str(error)
     counts = _point_counts(messages, decoding) if decoding else []

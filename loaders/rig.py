@@ -407,7 +407,7 @@ def _candidates(bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list
         try:
             messages = sample_messages(bag, index, _SAMPLES)
             decoding = settle_decoding(messages, topic, time_from, index.period_ns)
-            check_one_lidar(index, decoding.time.span_ns if decoding.time else None)
+            check_one_lidar(index, decoding)
         except CloudError as error:
             failure = error
             warnings.append(str(error))

@@ -171,25 +171,22 @@ def _find_revolutions(bag: Bag, topic: Topic) -> tuple[IntArray, IntArray, IntAr
     return log_time_ns, counts, stamps[np.cumsum(counts) - counts], frames
 
 
-def check_one_lidar(index: CloudIndex, sweep_ns: int | None) -> None:
-    """Raises CloudError where the clouds of a topic are those of two lidars.
-
-    sweep_ns: from the first to the last firing of a cloud; None where that is not known.
-    """
+def check_one_lidar(index: CloudIndex, decoding: CloudDecoding) -> None:
+    """Raises CloudError where the clouds of a topic are those of two lidars, by their frames or their times."""
     fix = "record each lidar on a topic of its own (Livox: multi_topic 1), or split the topic"
     if len(index.frames) > 1:
-        raise CloudError(
-            f"{index.topic}: two lidars on one topic, its clouds have the frames {' and '.join(index.frames)}; {fix} by frame"
-        )
+        named = " and ".join(index.frames)
+        raise CloudError(f"{index.topic}: two lidars on one topic, with frames {named}; {fix} by frame")
     stamps = index.stamp_ns[index.usable]
-    if sweep_ns and len(stamps) > 2:
-        # Of two lidars every other step is short.
-        step_ns = float(np.median(stamps[2:] - stamps[:-2])) / 2
-        if sweep_ns > _SWEEPS_OVERLAP * step_ns:
-            raise CloudError(
-                f"{index.topic}: two lidars on one topic, for its clouds overlap: they take {sweep_ns / 1e6:.0f} ms and begin "
-                f"every {step_ns / 1e6:.0f} ms; {fix}"
-            )
+    if decoding.time is None or len(stamps) < 3:
+        return
+    # Of two lidars every other step is short.
+    step_ns = float(np.median(stamps[2:] - stamps[:-2])) / 2
+    if decoding.time.span_ns > _SWEEPS_OVERLAP * step_ns:
+        raise CloudError(
+            f"{index.topic}: two lidars on one topic, its sweeps take {decoding.time.span_ns / 1e6:.0f} ms and begin "
+            f"every {step_ns / 1e6:.0f} ms; {fix}"
+        )
 
 
 def stamp_problem(index: CloudIndex) -> str | None:

@@ -96,3 +96,19 @@ def _cast(origin: FloatArray, rays: FloatArray) -> FloatArray:
     to_table = (TABLE_M[:, None] - origin) / rays
     near, far = to_table.min(axis=0).max(axis=1), to_table.max(axis=0).min(axis=1)
     return np.where((near < far) & (near > 0) & (near < range_m), near, range_m)
+
+
+def drive_in_a_room(height_m: float = 0.7, ceiling_m: float = 2.6, clouds: int = 8) -> list[np.ndarray]:
+    """What a lidar sees that turns and moves through a room of 6 x 8 m: points (n, 3) from it, z up, cloud by cloud."""
+    rng = np.random.default_rng(0)
+    low, high = np.array([-3.0, -4.0, 0.0]), np.array([3.0, 4.0, ceiling_m])
+    seen = []
+    for i in range(clouds):
+        origin = np.array([*rng.uniform(low[:2] / 2, high[:2] / 2), height_m])
+        rays = rng.normal(size=(4000, 3))
+        with np.errstate(divide="ignore"):
+            reach = np.where(rays > 0, (high - origin) / rays, (low - origin) / rays).min(axis=1)
+        yaw = 0.7 * i
+        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+        seen.append((rays * reach[:, None] + rng.normal(0, 0.01, (4000, 3))) @ turn.T)
+    return seen

@@ -248,7 +248,7 @@ def test_copies_and_cameras_are_passed_over(tmp_path):
     rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
     assert (rig.horizontal.topic, rig.vertical.topic) == ("/v/points", "/h/points")
     assert "/v/points is the better cloud" in next(line for line in rig.warnings if "/v/filtered" in line)
-    assert "/camera/points (it looks in one direction" in rig.warnings[0]
+    assert "/camera/points (a depth camera" in rig.warnings[0]
 
 
 def test_two_sensors_with_one_frame_need_a_rig_file(tmp_path):
@@ -365,3 +365,66 @@ def test_a_base_that_no_robot_reaches_is_refused_and_a_rig_file_names_another(tm
     file.write_text('base = "base_link"\n[[lidar]]\ntopic = "/v/points"\n[[lidar]]\ntopic = "/h/points"\n')
     rig = rig_of(path, rig_file=file)
     np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, 3], [0.12, 0.01, 0.568], atol=1e-6)
+
+
+TWO_ROBOTS = [(f"/robot{i}/tf_static", MARS[:1] + [("base_link", "horizontal_velodyne", [0, i, 1], LYING)]) for i in (1, 2)]
+
+
+@pytest.mark.parametrize("robot", [1, 2])
+def test_a_lidar_takes_the_transforms_of_its_own_namespace(tmp_path, robot):
+    entries = [(f"/robot{robot}{topic}", log, message) for topic, log, message in two_lidars([])]
+    entries += [(topic, START_NS, tf_message(edges)) for topic, edges in TWO_ROBOTS]
+    rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    np.testing.assert_allclose(rig.vertical.T_base_sensor[:3, 3], [0, robot, 1])
+    assert not rig.warnings
+
+
+def test_two_transforms_that_place_one_lidar_differently_are_named(tmp_path):
+    entries = [*two_lidars([]), *((topic, START_NS, tf_message(edges)) for topic, edges in TWO_ROBOTS)]
+    rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    (warning,) = rig.warnings
+    assert "two transforms place horizontal_velodyne differently, on /robot1/tf_static in base_link and on" in warning
+    np.testing.assert_allclose(rig.vertical.T_base_sensor[:3, 3], [0, 2, 1])
+
+
+def test_a_depth_camera_that_looks_along_z_is_no_vertical_lidar(tmp_path):
+    entries = two_lidars(MARS)
+    for i in range(4):
+        stamp_ns = START_NS + i * PERIOD_NS
+        seen = only(sweep(columns=30, seed=i), "x", "y", "z")
+        seen["z"] = 4.0
+        entries.append(("/camera/points", stamp_ns + PERIOD_NS, cloud(seen, stamp_ns, "optical")))
+    entries.append(("/tf_static", START_NS + 1, tf_message([("base_link", "optical", [0, 0, 1], LYING)])))
+    rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    assert [lidar.topic for lidar in rig.verticals] == ["/h/points"]
+    assert "not used: /camera/points (a depth camera" in rig.warnings[0]
+
+
+@pytest.mark.parametrize("frame", ["base_link", "vertical_velodyne", "horizontal_velodyne"])
+def test_a_cloud_merged_of_the_lidars_is_not_used(tmp_path, frame):
+    entries = two_lidars(MARS)
+    poses = {child.strip("/"): (Rotation.from_quat(q), np.array(p)) for _, child, p, q in MARS}
+    poses["base_link"] = Rotation.identity(), np.zeros(3)
+    turn, origin = poses[frame]
+    for i in range(4):
+        stamp_ns = START_NS + i * PERIOD_NS + 7_000_000
+        seen = np.concatenate([sweep(seed=i), sweep(seed=i)])
+        sensed = np.column_stack([seen["x"], seen["y"], seen["z"]]).reshape(2, -1, 3)
+        in_base = [
+            poses[name][0].apply(points) + poses[name][1]
+            for name, points in zip(("vertical_velodyne", "horizontal_velodyne"), sensed, strict=True)
+        ]
+        seen["x"], seen["y"], seen["z"] = turn.inv().apply(np.concatenate(in_base) - origin).T
+        entries.append(("/merged", stamp_ns + PERIOD_NS, cloud(seen, stamp_ns, frame)))
+    rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    assert (rig.horizontal.topic, [lidar.topic for lidar in rig.verticals]) == ("/v/points", ["/h/points"])
+    assert "not used: /merged (a merged cloud" in rig.warnings[0]
+
+
+def test_two_lidars_on_one_topic_are_named(tmp_path):
+    def joined(frames):
+        made = [clouds("/points", 12, frame, late_ns=late) for frame, late in zip(frames, (0, PERIOD_NS // 3), strict=True)]
+        return write_bag(tmp_path / f"{frames[1]}.bag", sorted(sum(made, []), key=lambda entry: entry[1]))
+
+    assert "two lidars on one topic, with frames left and right" in error_of(joined(["left", "right"]))
+    assert "its sweeps take 99 ms and begin every 50 ms" in error_of(joined(["lidar", "lidar"]))

@@ -310,3 +310,31 @@ def test_scans_have_one_order_whatever_the_clouds(tmp_path, names):
     np.testing.assert_array_equal(shuffled.points_sensor, scan.points_sensor)
     np.testing.assert_array_equal(shuffled.ring, scan.ring)
     np.testing.assert_array_equal(shuffle[shuffled.cloud_index], scan.cloud_index)
+
+
+@pytest.mark.parametrize(("parts", "count"), [(2, 24), (3, 36)])
+def test_clouds_that_are_parts_of_a_revolution_are_gathered(tmp_path, parts, count):
+    whole = sweep(90)
+    entries = []
+    for i in range(count):
+        part = np.array_split(whole, parts)[i % parts].copy()
+        part["time"] -= part["time"].min()
+        stamp_ns = START_NS + i * PERIOD_NS // parts
+        entries.append(("/a", stamp_ns + PERIOD_NS, cloud(part, stamp_ns)))
+    # One is lost: what is left of its revolution stays alone.
+    lost = [entry for i, entry in enumerate(entries) if i != 4 * parts]
+    for name, kept in ("all", entries), ("lost", lost):
+        with open_bag(write_bag(tmp_path / f"{name}.bag", kept)) as bag:
+            index = index_clouds(bag, "/a")
+            assert np.count_nonzero(index.message_count == parts) >= count // parts - 2
+            _, scan = next(read_scans(bag, index, 0, 1, settle_decoding(sample_messages(bag, index, 4), "/a")))
+    assert len(scan) == len(whole)
+    np.testing.assert_allclose(np.sort(scan.time_ns), 1e9 * whole["time"], atol=100)
+
+
+def test_whole_revolutions_are_not_gathered_where_half_of_each_is_hidden(tmp_path):
+    entries = clouds("/a", 24)
+    for topic, _, message in entries:
+        message.data.reshape(-1, message.point_step)[: message.width // 2] = 0
+    with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
+        assert index_clouds(bag, "/a").message_count.tolist() == [1] * 24
