@@ -367,7 +367,7 @@ def test_a_base_that_no_robot_reaches_is_refused_and_a_rig_file_names_another(tm
     np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, 3], [0.12, 0.01, 0.568], atol=1e-6)
 
 
-TWO_ROBOTS = [(f"/robot{i}/tf_static", MARS[:1] + [("base_link", "horizontal_velodyne", [0, i, 1], LYING)]) for i in (1, 2)]
+TWO_ROBOTS = [(f"/robot{i}/tf_static", [*MARS[:1], ("base_link", "horizontal_velodyne", [0, i, 1], LYING)]) for i in (1, 2)]
 
 
 @pytest.mark.parametrize("robot", [1, 2])
@@ -422,9 +422,9 @@ def test_a_cloud_merged_of_the_lidars_is_not_used(tmp_path, frame):
 
 
 def test_two_lidars_on_one_topic_are_named(tmp_path):
-    def joined(frames):
-        made = [clouds("/points", 12, frame, late_ns=late) for frame, late in zip(frames, (0, PERIOD_NS // 3), strict=True)]
-        return write_bag(tmp_path / f"{frames[1]}.bag", sorted(sum(made, []), key=lambda entry: entry[1]))
+    def joined(left, right):
+        entries = [*clouds("/points", 12, left), *clouds("/points", 12, right, late_ns=PERIOD_NS // 3)]
+        return write_bag(tmp_path / f"{right}.bag", sorted(entries, key=lambda entry: entry[1]))
 
-    assert "two lidars on one topic, with frames left and right" in error_of(joined(["left", "right"]))
-    assert "its sweeps take 99 ms and begin every 50 ms" in error_of(joined(["lidar", "lidar"]))
+    assert "two lidars on one topic, with frames left and right" in error_of(joined("left", "right"))
+    assert "its sweeps take 99 ms and begin every 50 ms" in error_of(joined("lidar", "lidar"))

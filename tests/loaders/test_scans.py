@@ -334,7 +334,7 @@ def test_clouds_that_are_parts_of_a_revolution_are_gathered(tmp_path, parts, cou
 
 def test_whole_revolutions_are_not_gathered_where_half_of_each_is_hidden(tmp_path):
     entries = clouds("/a", 24)
-    for topic, _, message in entries:
+    for _topic, _, message in entries:
         message.data.reshape(-1, message.point_step)[: message.width // 2] = 0
     with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
         assert index_clouds(bag, "/a").message_count.tolist() == [1] * 24
