@@ -7,45 +7,38 @@ and open wide, among them the one that drives odometry.
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
+from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory, seen_at_once
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.bag_path import BagPath
-from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.candidates import (
+    UPRIGHT_DEG,
+    Candidate,
+    find_candidates,
+    one_a_frame,
+    opening_deg_of,
+    tilt_deg_of,
+    without_cameras,
+)
+from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
 from ffmap.loaders.ouster import OUSTER_TYPES, frame_of
 from ffmap.loaders.packets import unread_packets
-from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
+from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
-from ffmap.loaders.rings import on_rings
-from ffmap.loaders.scans import (
-    CLOUDS_WANTED,
-    CloudIndex,
-    check_one_lidar,
-    cloud_hint,
-    cloud_topics,
-    index_clouds,
-    sample_messages,
-)
+from ffmap.loaders.scans import CLOUDS_WANTED, CloudIndex, cloud_hint, cloud_topics, index_clouds
 from ffmap.loaders.which_way_up import LidarView, find_upright_base
 
-_SAMPLES = 8
-_UPRIGHT_DEG = 45.0
 _OPENING_MIN_DEG = 55.0  # A column of less shows floor and ceiling together only where a wall is far away
 _EQUAL_WITHIN_DEG = 5.0  # Lidars whose axes differ by less are equally upright: the one that sees more is taken
-_VIEW_MIN_DEG = 150.0  # Of a lidar whose turn is half hidden; cameras and solid-state lidars see up to 120
-_LOOKED_AT = 5000  # Points of a cloud
-_ON_RINGS_MIN = 0.875  # Minimum share of the returns near a ring of one lidar; by chance it is a half
 _SCAN_POINTS = 100_000  # of a scan without rings: as many as 128 rings have, a degree's third apart
 _SCAN_MAX_NS = 500_000_000  # In more, people walk on and the robot leaves the room
 _REACH_MAX_M = 100.0
@@ -95,17 +88,17 @@ class Lidar:
     @property
     def tilt_deg(self) -> float:
         """Angle between its spin axis and the base's z axis, 0 to 90°."""
-        return _tilt_deg(self.T_base_sensor)
+        return tilt_deg_of(self.T_base_sensor)
 
     @property
     def opening_deg(self) -> float:
         """Angle between its lowest and its highest ring."""
-        return _opening_deg(self.decoding)
+        return opening_deg_of(self.decoding)
 
     @property
     def column_pairs(self) -> int:
         """Pairs of columns that are its point lines where it stands upright; 0 where it lies, for its emitters are."""
-        return COLUMN_PAIRS if self.tilt_deg <= _UPRIGHT_DEG else 0
+        return COLUMN_PAIRS if self.tilt_deg <= UPRIGHT_DEG else 0
 
     @property
     def line_pairs(self) -> int:
@@ -171,75 +164,6 @@ class Rig:
         return FrameTree(self.static_transforms)
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """A topic that could be one of the rig's lidars.
-
-    points: valid ones of a cloud, the median. clouds: some points (n, 3) of each of several clouds, in the sensor's frame.
-    """
-
-    topic: str
-    frame_id: str
-    stamp_ns: IntArray
-    decoding: CloudDecoding
-    points: int
-    clouds: list[FloatArray]
-    roles: tuple[Role, ...] = ()
-    T_base_sensor: FloatArray = field(default_factory=lambda: np.eye(4))
-
-    @property
-    def worth(self) -> tuple[bool, bool, bool, int]:
-        """Better clouds compare greater: whole turns, times and rings, more points."""
-        rings = self.decoding.rings.source in ("field", "row", "column")
-        return self.turns, self.decoding.time is not None, rings, self.points
-
-    @cached_property
-    def view_deg(self) -> float:
-        """Opening of the cone that holds its directions: a camera's field of view, more than 180 of a turning lidar."""
-        points = np.concatenate([np.zeros((0, 3)), *self.clouds])
-        directions = points / np.linalg.norm(points, axis=1, keepdims=True)
-        middle = directions.sum(axis=0)
-        off = directions @ (middle / max(float(np.linalg.norm(middle)), 1e-12))
-        return 2 * float(np.degrees(np.arccos(np.clip(np.percentile(off, 1), -1.0, 1.0)))) if len(off) else 0.0
-
-    @cached_property
-    def ringed(self) -> bool:
-        """Whether its returns are on rings about its own axis."""
-        shares = [float(np.mean(on_rings(points, self.decoding.rings))) for points in self.clouds]
-        return max(shares, default=0.0) > _ON_RINGS_MIN
-
-    @property
-    def turns(self) -> bool:
-        """Whether it looks round about."""
-        return self.view_deg >= _VIEW_MIN_DEG
-
-    @property
-    def tilt_deg(self) -> float:
-        """As of the lidar; 0 where its place is unknown."""
-        return _tilt_deg(self.T_base_sensor)
-
-    @property
-    def upright(self) -> bool:
-        """Whether its columns are the lines that run from floor to ceiling; else its emitters are."""
-        return self.tilt_deg <= _UPRIGHT_DEG
-
-    @property
-    def opening_deg(self) -> float:
-        """As of the lidar."""
-        return _opening_deg(self.decoding)
-
-    def lidar(self, reasons: str) -> Lidar:
-        return Lidar(self.topic, self.frame_id, self.T_base_sensor, self.decoding, self.points, reasons)
-
-
-def _opening_deg(decoding: CloudDecoding) -> float:
-    return float(np.ptp(decoding.rings.elevation_deg[np.isfinite(decoding.rings.elevation_deg)]))
-
-
-def _tilt_deg(T_base_sensor: FloatArray) -> float:
-    return float(np.degrees(np.arccos(np.clip(abs(T_base_sensor[2, 2]), 0.0, 1.0))))
-
-
 def find_rig(
     bag: Bag,
     rig_file: Path | None = None,
@@ -272,12 +196,12 @@ def find_rig(
         topics = [*dict.fromkeys([*entries, *(topic for own in asked.values() for topic in own)])]
     if len(asked) == 2:
         topics = [t for t in topics if t in chosen]
-    candidates = _candidates(bag, topics, time_from, warnings)
+    candidates = find_candidates(bag, topics, time_from, warnings)
     if described is None and (fitting := _fitting_built_in(bag, candidates, chosen, warnings)):
         described, entries = fitting
         candidates = [c for c in candidates if c.topic in entries]
-    candidates = _lidars_alone(bag, candidates, {*chosen, *entries}, warnings)
-    candidates = _one_a_frame(bag, candidates, {*chosen, *entries}, warnings)
+    candidates = without_cameras(bag, candidates, {*chosen, *entries}, warnings)
+    candidates = one_a_frame(bag, candidates, {*chosen, *entries}, warnings)
     first = asked["horizontal"][0] if unplaced and len(asked) == 2 else None
     candidates, base, edges = _place(bag, candidates, described, entries, chosen, warnings, first)
     if first is None:
@@ -315,7 +239,7 @@ def _warn_of_clouds(horizontal: Lidar, verticals: tuple[Lidar, ...], warnings: l
 
 
 def _fitting_built_in(
-    bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]
+    bag: Bag, candidates: list[Candidate], chosen: set[str], warnings: list[str]
 ) -> tuple[RigFile, dict[str, RigEntry]] | None:
     """The built-in rig whose topics and frames the bag has, with the lidars by their topics, unless the bag's own transforms
     place them: these are of this very robot, the rig is of the data set.
@@ -341,7 +265,7 @@ def _fitting_built_in(
     return None
 
 
-def _fitting_entries(bag: Bag, candidates: list[_Candidate], rig: RigFile) -> dict[str, RigEntry]:
+def _fitting_entries(bag: Bag, candidates: list[Candidate], rig: RigFile) -> dict[str, RigEntry]:
     """The rig's lidars by the bag's topics; none where the bag lacks a topic of the rig, or has it with another frame."""
     present = {topic.name.removeprefix("/") for topic in bag.topics.values() if topic.count}
     entries = {
@@ -399,104 +323,15 @@ def _no_clouds(bag: Bag) -> InputError:
     )
 
 
-def _candidates(bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list[str]) -> list[_Candidate]:
-    found = []
-    failure: CloudError | None = None
-    for topic in topics:
-        index = index_clouds(bag, topic)
-        try:
-            messages = sample_messages(bag, index, _SAMPLES)
-            decoding = settle_decoding(messages, topic, time_from, index.period_ns)
-            check_one_lidar(index, decoding)
-        except CloudError as error:
-            failure = error
-            warnings.append(str(error))
-            continue
-        points, clouds = _look(messages, decoding)
-        found.append(_Candidate(topic, decoding.layout.frame_id, index.stamp_ns, decoding, points, clouds))
-    if not found:
-        raise failure or _no_clouds(bag)
-    return found
-
-
-def _look(messages: list[Any], decoding: CloudDecoding) -> tuple[int, list[FloatArray]]:
-    """Median number of valid points of a cloud, and some of them (k, 3) of each cloud that has any."""
-    clouds = []
-    for message in messages:
-        with suppress(CloudError):
-            clouds.append(decode(message, decoding).points_sensor)
-    draw = np.random.default_rng(0)
-    some = [points[draw.permutation(len(points))[:_LOOKED_AT]] for points in clouds if len(points)]
-    return int(np.median([len(points) for points in clouds])) if clouds else 0, some
-
-
-def _lidars_alone(bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]) -> list[_Candidate]:
-    """The candidates without depth cameras, where there is a lidar, and without clouds that were merged of the others'."""
-    kept = turning = [c for c in candidates if c.turns or c.topic in chosen] or candidates
-    for c in candidates:
-        if c not in turning:
-            warnings.append(
-                f"not used: {c.topic} (a depth camera or no turning lidar, its field of view is {c.view_deg:.0f} deg); "
-                f"--vertical {c.topic} uses it"
-            )
-        elif c.topic not in chosen and (lidars := _merged_of(bag, c, turning)):
-            kept = [other for other in kept if other is not c]
-            warnings.append(f"not used: {c.topic} (a merged cloud, its returns are on the rings of {' and '.join(lidars)})")
-    return kept
-
-
-def _merged_of(bag: Bag, merged: _Candidate, candidates: list[_Candidate]) -> list[str]:
-    """The topics on whose lidars' rings the returns of a cloud without rings of its own are; none where they are not."""
-    if len(candidates) == 1 or merged.ringed:
-        return []
-    lidars = [c for c in candidates if c.ringed]
-    tree = read_frame_tree(bag, {c.topic: c.frame_id for c in (merged, *lidars)})
-    placed = [(c, T) for c in lidars if (T := tree.between(c.frame_id, merged.frame_id)) is not None]
-    on = [
-        [on_rings(transforms.apply(T, points), c.decoding.rings) for c, T in placed]
-        for points in merged.clouds
-        if placed
-    ]
-    share = max((float(np.mean(np.any(rings, axis=0))) for rings in on), default=0.0)
-    # By chance a return is on a ring of every second lidar.
-    return [c.topic for c, _ in placed] if share > 1 - 0.5 ** (len(placed) + 1) else []
-
-
-def _unlike(stamps: IntArray, others: IntArray) -> bool:
-    """Whether two clouds are of two sensors: a copy has its original's stamps."""
-    return len(np.intersect1d(stamps, others)) < 0.5 * min(len(stamps), len(others))
-
-
-def _one_a_frame(bag: Bag, candidates: list[_Candidate], chosen: set[str], warnings: list[str]) -> list[_Candidate]:
-    """Of several clouds of one sensor (dual returns, filtered copies) the best."""
-    best: dict[str, _Candidate] = {}
-    for candidate in candidates:
-        known = best.get(candidate.frame_id)
-        if known and not {known.topic, candidate.topic} & chosen and _unlike(known.stamp_ns, candidate.stamp_ns):
-            raise InputError(
-                f"{bag.path.name}: {known.topic} and {candidate.topic} both say frame {candidate.frame_id} but are two "
-                "sensors; give --rig FILE.toml, or name one with --horizontal"
-            )
-        if known is None or (candidate.topic in chosen, candidate.worth) > (known.topic in chosen, known.worth):
-            best[candidate.frame_id] = candidate
-    kept = [c for c in candidates if c.topic in chosen or best[c.frame_id] is c]
-    warnings += [
-        f"not used: {c.topic} ({best[c.frame_id].topic} is the better cloud of frame {c.frame_id})"
-        for c in candidates
-        if c not in kept
-    ]
-    return kept
-
-
 def _place(
     bag: Bag,
-    candidates: list[_Candidate],
+    candidates: list[Candidate],
     described: RigFile | None,
     entries: dict[str, RigEntry],
     chosen: set[str],
     warnings: list[str],
     first: str | None,
-) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
+) -> tuple[list[Candidate], str, tuple[StaticTransform, ...]]:
     """The candidates with their T_base_sensor, the base's frame, and all static transforms.
 
     first: topic of the lidar that the chosen ones are put at where no transforms join them; None to refuse these.
@@ -531,7 +366,7 @@ def _place(
         )
     if unknown:
         warnings.append(f"not used: {', '.join(c.topic for c in unknown)} (their frames are unknown)")
-    by_root: dict[str, list[_Candidate]] = {}
+    by_root: dict[str, list[Candidate]] = {}
     for candidate in known:
         by_root.setdefault(roots[candidate.topic][0], []).append(candidate)
     base, together = max(by_root.items(), key=lambda item: (len(item[1]), [c.worth for c in item[1]]))
@@ -546,12 +381,12 @@ def _place(
 
 
 def _upright(
-    candidates: list[_Candidate],
+    candidates: list[Candidate],
     base: str,
     edges: tuple[StaticTransform, ...],
     warnings: list[str],
     may_change: bool,
-) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
+) -> tuple[list[Candidate], str, tuple[StaticTransform, ...]]:
     """The candidates in a base whose z points up, as the clouds show it."""
     views = [LidarView(c.topic, c.frame_id, c.clouds, c.T_base_sensor) for c in candidates]
     found = find_upright_base(base, FrameTree(edges), views, may_change)
@@ -563,7 +398,7 @@ def _upright(
     return placed, found.frame, (*edges, found.edge) if found.edge else edges
 
 
-def _check_reach(source: Path | BagPath, candidates: list[_Candidate], base: str) -> None:
+def _check_reach(source: Path | BagPath, candidates: list[Candidate], base: str) -> None:
     """Raises InputError where a lidar is farther from the base than any robot is long: float32 would lose the millimetres."""
     for candidate in candidates:
         away_m = float(np.linalg.norm(candidate.T_base_sensor[:3, 3]))
@@ -575,8 +410,8 @@ def _check_reach(source: Path | BagPath, candidates: list[_Candidate], base: str
 
 
 def _place_by_file(
-    candidates: list[_Candidate], described: RigFile, entries: dict[str, RigEntry], tree: FrameTree
-) -> tuple[list[_Candidate], str, tuple[StaticTransform, ...]]:
+    candidates: list[Candidate], described: RigFile, entries: dict[str, RigEntry], tree: FrameTree
+) -> tuple[list[Candidate], str, tuple[StaticTransform, ...]]:
     base = described.base or tree.root(candidates[0].frame_id)[0]
     placed, edges = [], {edge.child: edge for edge in tree.edges}
     for candidate in candidates:
@@ -599,14 +434,14 @@ def _place_by_file(
 
 
 def _roles(
-    candidates: list[_Candidate], asked: dict[Role, list[str]], warnings: list[str]
+    candidates: list[Candidate], asked: dict[Role, list[str]], warnings: list[str]
 ) -> tuple[Lidar, tuple[Lidar, ...]]:
     """The lidar that drives odometry, and those that are labelled: as they were named, by what they are where none was."""
     by_topic = {c.topic: c for c in candidates}
     horizontals, verticals = (
-        [by_topic[topic].lidar(f"--{role} names it") for topic in asked[role]]
+        [_lidar(by_topic[topic], f"--{role} names it") for topic in asked[role]]
         if role in asked
-        else [c.lidar("the rig file gives it this role") for c in candidates if role in c.roles]
+        else [_lidar(c, "the rig file gives it this role") for c in candidates if role in c.roles]
         for role in get_args(Role)
     )
     horizontal: Lidar | None = next(iter(horizontals), None)
@@ -616,7 +451,7 @@ def _roles(
         labelled = [lidar.topic for lidar in verticals]
         free = [c for c in candidates if c.topic not in labelled] or candidates
         chosen, reasons = _most_aligned(free, {c.topic: c.tilt_deg for c in free}, "gravity")
-        horizontal = chosen.lidar(reasons)
+        horizontal = _lidar(chosen, reasons)
         if not chosen.upright:
             warnings.append(f"{chosen.topic}: no lidar stands upright; odometry has to do with one that does not")
     if verticals:
@@ -629,28 +464,33 @@ def _roles(
     return horizontal, tuple(swept)
 
 
-def _lying(candidates: list[_Candidate]) -> list[Lidar]:
+def _lidar(candidate: Candidate, reasons: str) -> Lidar:
+    c = candidate
+    return Lidar(c.topic, c.frame_id, c.T_base_sensor, c.decoding, c.points, reasons)
+
+
+def _lying(candidates: list[Candidate]) -> list[Lidar]:
     """Lidars on their side, whose emitters sweep the walls: the most level first."""
     lidars: list[Lidar] = []
     while candidates:
         chosen, reasons = _most_aligned(candidates, {c.topic: 90.0 - c.tilt_deg for c in candidates}, "level")
         also = f"on its side, its spin axis {90.0 - chosen.tilt_deg:.1f} deg off level"
-        lidars.append(chosen.lidar(also if lidars else reasons))
+        lidars.append(_lidar(chosen, also if lidars else reasons))
         candidates = [c for c in candidates if c is not chosen]
     return lidars
 
 
-def _sweeping_by_columns(upright: list[_Candidate]) -> list[Lidar]:
+def _sweeping_by_columns(upright: list[Candidate]) -> list[Lidar]:
     """Upright lidars that open wide enough for their columns to sweep the walls: the widest first."""
     widest_first = sorted(upright, key=lambda c: (c.opening_deg, c.worth), reverse=True)
     return [
-        c.lidar(f"upright, it opens to {c.opening_deg:.0f} deg: its columns sweep the walls")
+        _lidar(c, f"upright, it opens to {c.opening_deg:.0f} deg: its columns sweep the walls")
         for c in widest_first
         if c.opening_deg >= _OPENING_MIN_DEG
     ]
 
 
-def _nothing_to_label(upright: list[_Candidate]) -> str:
+def _nothing_to_label(upright: list[Candidate]) -> str:
     widest = max(upright, key=lambda c: (c.opening_deg, c.worth))
     return (
         f"nothing to label: no lidar lies on its side, and {widest.topic}, upright, opens to {widest.opening_deg:.0f} deg: floor "
@@ -674,7 +514,7 @@ def _gathering(lidar: Lidar) -> Lidar:
     )
 
 
-def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direction: str) -> tuple[_Candidate, str]:
+def _most_aligned(candidates: list[Candidate], off_deg: dict[str, float], direction: str) -> tuple[Candidate, str]:
     """The candidate whose spin axis is nearest to a direction, and in words why; of equals the one that sees most.
 
     off_deg: angle between each candidate's spin axis and the direction, by topic.
@@ -687,18 +527,18 @@ def _most_aligned(candidates: list[_Candidate], off_deg: dict[str, float], direc
 
 
 def _roles_of_one(
-    only: _Candidate, horizontal: Lidar | None, verticals: tuple[Lidar, ...], warnings: list[str]
+    only: Candidate, horizontal: Lidar | None, verticals: tuple[Lidar, ...], warnings: list[str]
 ) -> tuple[Lidar, tuple[Lidar, ...]]:
     if verticals:
-        return horizontal or only.lidar("the only lidar: it drives odometry too"), verticals
+        return horizontal or _lidar(only, "the only lidar: it drives odometry too"), verticals
     if horizontal is None and not only.upright:
         warnings.append(f"{only.topic}: the only lidar lies on its side; odometry has to do with it")
-        labelled = only.lidar(f"the only lidar, its spin axis {90 - only.tilt_deg:.1f} deg off level")
-        return only.lidar("the only lidar: it drives odometry too"), (labelled,)
+        labelled = _lidar(only, f"the only lidar, its spin axis {90 - only.tilt_deg:.1f} deg off level")
+        return _lidar(only, "the only lidar: it drives odometry too"), (labelled,)
     swept = _sweeping_by_columns([only])
     if not swept:
         warnings.append(_nothing_to_label([only]))
-    return horizontal or only.lidar("the only lidar, its spin axis upright or unknown"), tuple(swept)
+    return horizontal or _lidar(only, "the only lidar, its spin axis upright or unknown"), tuple(swept)
 
 
 def _named_topics(bag: Bag, described: RigFile, topics: list[str]) -> dict[str, RigEntry]:
