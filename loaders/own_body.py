@@ -2,6 +2,9 @@
 
 from dataclasses import replace
 
+import numpy as np
+
+from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.own_body import find_own_body, moves
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders.bag import Bag
@@ -25,10 +28,11 @@ def without_own_body(bag: Bag, rig: Rig) -> Rig:
         body = find_own_body(clouds[topic], lidar.T_base_sensor)
         if body is None:
             continue
-        size_m, centre_m = body.high_base - body.low_base, (body.high_base + body.low_base) / 2
+        points_base = transforms.apply(lidar.T_base_sensor, body.points_sensor)
+        low_m, high_m = points_base.min(axis=0), points_base.max(axis=0)
         warnings.append(
-            f"{topic} sees the robot itself: {body.share:.1%} of its returns are left out, within "
-            f"{' x '.join(f'{m:.2f}' for m in size_m)} m about {', '.join(f'{m:.2f}' for m in centre_m)} m in "
+            f"{topic} sees the robot itself: {body.share:.1%} of its returns are left out, "
+            f"{' x '.join(f'{m:.2f}' for m in high_m - low_m)} m about {np.round((low_m + high_m) / 2, 2).tolist()} in "
             f"{rig.base_frame or 'its own frame'}; --set scan.own_body=false keeps them"
         )
         lidars[topic] = replace(lidar, decoding=replace(lidar.decoding, own_body=body))

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -28,33 +27,25 @@ _FLOOR_M = 0.125
 and 2 degrees of tilt over the reach."""
 
 
+_HALF_M = 1.6
+"""Half the edge of the cube about the sensor that is looked at: beyond the reach, to see what goes on there."""
+_CELLS = round(2 * _HALF_M / _VOXEL_M)
+
+
 @dataclass(frozen=True, eq=False)
 class OwnBody:
     """Voxels of a sensor's frame that hold the robot itself.
 
-    voxel: (v, 3) int16, from the corner at -reach, one voxel of margin about what returned included. share: of the lidar's
-    returns. low_base, high_base: (3,) metres, the corners of the box about it in the base's frame.
+    voxel: (v, 3) int16, from the corner at -1.6 m, with one more about what returned. share: of the lidar's returns.
     """
 
     voxel: IntArray
     share: float
-    low_base: FloatArray
-    high_base: FloatArray
 
     @property
     def points_sensor(self) -> FloatArray:
         """(v, 3) the voxels' centres."""
-        return _centres(self.voxel)
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """As run.json holds it."""
-        corners = {"low_base_m": self.low_base, "high_base_m": self.high_base}
-        return {"share": round(self.share, 5), **{name: m.round(3).tolist() for name, m in corners.items()}}
-
-    @cached_property
-    def _mask(self) -> BoolArray:
-        return _grid(self.voxel)
+        return np.asarray((self.voxel + 0.5) * _VOXEL_M - _HALF_M)
 
     def holds(self, points_sensor: FloatArray) -> BoolArray:
         """(n,) which points (n, 3) lie on it."""
@@ -63,10 +54,9 @@ class OwnBody:
         held[inside] = self._mask[tuple(_voxels(points_sensor[inside]).T)]
         return held
 
-
-_HALF_M = 1.6
-"""Half the edge of the cube about the sensor that is looked at: beyond the reach, to see what goes on there."""
-_CELLS = round(2 * _HALF_M / _VOXEL_M)
+    @cached_property
+    def _mask(self) -> BoolArray:
+        return _grid(self.voxel)
 
 
 def find_own_body(clouds: Sequence[FloatArray], T_base_sensor: FloatArray) -> OwnBody | None:
@@ -76,16 +66,15 @@ def find_own_body(clouds: Sequence[FloatArray], T_base_sensor: FloatArray) -> Ow
     reach of a body: so do the floor and the walls of a corridor, which may stay in one place of the robot too.
     T_base_sensor: (4, 4).
     """
-    near = [cloud[(np.abs(cloud) < _HALF_M).all(axis=1)] for cloud in clouds]
     occupied, share = np.zeros((_CELLS,) * 3, bool), np.zeros((_CELLS,) * 3, np.float32)
-    for cloud in near:
-        own = _grid(_voxels(cloud))
+    for cloud in clouds:
+        own = _grid(_voxels(cloud[(np.abs(cloud) < _HALF_M).all(axis=1)]))
         occupied |= own
         # A return on a voxel's edge falls on either side of it.
-        share += _grown(own) / np.float32(len(clouds))
+        share += ndimage.maximum_filter(own, 3) / np.float32(len(clouds))
     voxel = np.argwhere(occupied & (share >= _OFTEN))
     always = share[tuple(voxel.T)] >= _ALWAYS
-    place_sensor = _centres(voxel)
+    place_sensor = OwnBody(voxel, 0.0).points_sensor
     place_base = transforms.apply(T_base_sensor, place_sensor)
     beyond = np.linalg.norm(place_sensor, axis=1) >= _REACH_M
     floor_m = np.percentile(place_base[beyond, 2], _LOWEST_PERCENT) if beyond.any() else -np.inf
@@ -95,16 +84,13 @@ def find_own_body(clouds: Sequence[FloatArray], T_base_sensor: FloatArray) -> Ow
     is_body = np.bincount(cluster[always], minlength=count + 1) >= _VOXELS_MIN
     is_body[np.append(cluster[beyond], 0)] = False
     body = is_body[cluster]
-    if not body.any():
-        return None
-    low_base, high_base = place_base[body].min(axis=0) - _VOXEL_M / 2, place_base[body].max(axis=0) + _VOXEL_M / 2
     # Its foot joins the floor, and is what always returns below it.
-    columns = np.unique(_columns(place_base[body]))
-    foot = always & ~above & np.isin(_columns(place_base), columns)
-    own = _grown(_grid(voxel[body])) | _grid(voxel[foot])
-    found = OwnBody(np.argwhere(own).astype(np.int16), 0.0, low_base, high_base)
-    held = sum(int(np.count_nonzero(found.holds(cloud))) for cloud in near)
-    return replace(found, share=held / sum(map(len, clouds)))
+    column = np.floor(place_base[:, :2] / _VOXEL_M).astype(np.int64) @ [1 << 20, 1]
+    foot = always & ~above & np.isin(column, column[body])
+    own = ndimage.maximum_filter(_grid(voxel[body]), 3) | _grid(voxel[foot])
+    found = OwnBody(np.argwhere(own).astype(np.int16), 0.0)
+    held = sum(int(np.count_nonzero(found.holds(cloud))) for cloud in clouds) if body.any() else 0
+    return replace(found, share=held / sum(map(len, clouds))) if held else None
 
 
 def moves(clouds: Sequence[FloatArray]) -> bool:
@@ -122,15 +108,6 @@ def moves(clouds: Sequence[FloatArray]) -> bool:
     return len(every) > 0 and float(always.mean()) < _STILL
 
 
-def _columns(points_base: FloatArray) -> IntArray:
-    """(n,) the upright columns of the base's frame in which points lie."""
-    return np.asarray(np.floor(points_base[:, :2] / _VOXEL_M).astype(np.int64) @ [1 << 20, 1])
-
-
-def _centres(voxel: IntArray) -> FloatArray:
-    return np.asarray((voxel + 0.5) * _VOXEL_M - _HALF_M)
-
-
 def _grid(voxel: IntArray) -> BoolArray:
     grid = np.zeros((_CELLS,) * 3, bool)
     grid[tuple(voxel.T)] = True
@@ -139,12 +116,3 @@ def _grid(voxel: IntArray) -> BoolArray:
 
 def _voxels(points: FloatArray) -> IntArray:
     return np.minimum(((points + _HALF_M) / _VOXEL_M).astype(np.int64), _CELLS - 1)
-
-
-def _grown(grid: BoolArray) -> BoolArray:
-    """With the voxels beside, across edges and corners too."""
-    for axis in range(3):
-        ahead, behind = (np.roll(np.moveaxis(grid, axis, 0), step, 0) for step in (1, -1))
-        ahead[0], behind[-1] = False, False
-        grid = grid | np.moveaxis(ahead | behind, 0, axis)
-    return grid

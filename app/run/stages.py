@@ -218,12 +218,8 @@ def first_record(
         "base_frame": inputs.rig.base_frame,
         "mounts_from": inputs.rig.mounts_from,
         "rig": {
-            role: {
-                "topic": s.lidar.topic,
-                "frame": s.lidar.frame_id,
-                "why": s.lidar.reasons,
-                "own_body": None if (b := s.lidar.decoding.own_body) is None else b.record,
-            }
+            role: {"topic": s.lidar.topic, "frame": s.lidar.frame_id, "why": s.lidar.reasons}
+            | ({} if (body := s.lidar.decoding.own_body) is None else {"own_body_share": round(body.share, 5)})
             for role, s in inputs.by_role.items()
         },
         "poses_from": given_poses or FROM_ODOMETRY,

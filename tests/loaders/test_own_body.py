@@ -30,7 +30,7 @@ def test_scans_lack_the_robots_own_body(tmp_path: Path) -> None:
     inputs, as_seen = (find_inputs(bag, InputOptions(own_body=held)) for held in (True, False))
     (warning,) = (text for text in inputs.warnings if "sees the robot itself" in text)
     assert warning.startswith("/points sees the robot itself: ")
-    assert warning.endswith(" m in base; --set scan.own_body=false keeps them")
+    assert warning.endswith(" in base; --set scan.own_body=false keeps them")
     assert warning in describe_bag(bag).warnings
     assert not any("sees the robot" in text for text in as_seen.warnings)
     sensor, other = inputs.horizontal, as_seen.horizontal
