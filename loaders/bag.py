@@ -33,8 +33,6 @@ Message: TypeAlias = Any  # A message as an object of rosbags: its attributes ar
 _T = TypeVar("_T")
 
 _MAGIC: Mapping[bytes, Container] = {b"#ROSBAG V": "ros1", b"\x89MCAP0\r\n": "mcap", b"SQLite format 3\0": "sqlite3"}
-_SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
-_NAMED_MAX = 5
 _WAYS_OUT = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
 
 _GAP_NS = 1_000_000_000
@@ -335,18 +333,11 @@ def _check_together(folder: Path, files: Sequence[BagFile]) -> None:
 
 def _warn_of_unread(folder: Path, read: Collection[str], warnings: list[str]) -> None:
     """Name the files of the folder that look like parts of a bag and are not read. read: names of those that are."""
-    others = sorted(
-        path.name
-        for path in folder.iterdir()
-        if path.is_file()
-        and not _SUFFIXES.isdisjoint(path.suffixes)
-        and not {path.name, path.name.removesuffix(".zstd")} & {*read}
-    )
-    if others:
-        more = f" and {len(others) - _NAMED_MAX} more" if len(others) > _NAMED_MAX else ""
+    like_parts = sorted(path.name for path in folder.iterdir() if {".bag", ".mcap", ".db3"} & {*path.suffixes})
+    if others := [name for name in like_parts if name not in read and name.removesuffix(".zstd") not in read]:
         warnings.append(
-            f"{folder.name}: left out: {', '.join(others[:_NAMED_MAX])}{more}; if they are of the drive, give all of its files "
-            "by name (compressed ones: after zstd -d)"
+            f"{folder.name}: left out: {', '.join(others)}; if they are of the drive, give all of its files by name (compressed "
+            "ones: after zstd -d)"
         )
 
 

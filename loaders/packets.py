@@ -17,9 +17,6 @@ UNREAD_TYPES: Mapping[str, str] = {
 """Whose they are: of these makers there is no decoder that gives every model's points and their times."""
 
 
-_TRANSPORTS = ("draco", "zlib", "zstd", "cloudini")
-
-
 def unread_packets(bag: Bag) -> dict[str, str]:
     """Topics of raw packets or compressed clouds that are not read: why not, and what to do, one line each."""
     found = {topic.name: _reason(bag, topic) for topic in bag.topics.values() if topic.count}
@@ -37,14 +34,12 @@ def _reason(bag: Bag, topic: Topic) -> str | None:
 def _compressed(bag: Bag, topic: Topic) -> str:
     """How to decompress it: point_cloud_transport publishes /points as /points/draco."""
     base, _, transport = topic.name.rpartition("/")
-    if transport not in _TRANSPORTS:
-        base, transport = f"{topic.name}/raw", "draco"
-    ros1 = f"rosrun point_cloud_transport republish {transport} in:={base} raw out:={base}"
-    ros2 = (
-        f"ros2 run point_cloud_transport republish --ros-args -p in_transport:={transport} -p out_transport:=raw "
-        f"--remap in/{transport}:={topic.name} --remap out:={base}"
-    )
-    return (
-        f"{topic.name}: compressed clouds ({topic.msgtype}) are not read; play the bag with "
-        f"`{ros1 if bag.ros_version == 1 else ros2}` and record {base} beside the other topics"
-    )
+    base = base or "/points"
+    command = f"rosrun point_cloud_transport republish {transport} in:={base} raw out:={base}"
+    if bag.ros_version == 2:
+        command = (
+            f"ros2 run point_cloud_transport republish --ros-args -p in_transport:={transport} -p out_transport:=raw "
+            f"--remap in/{transport}:={topic.name} --remap out:={base}"
+        )
+    what = f"{topic.name}: compressed clouds ({topic.msgtype}) are not read"
+    return f"{what}; play the bag with `{command}` and record {base} beside the other topics"

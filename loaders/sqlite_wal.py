@@ -4,9 +4,8 @@ Recorders that are killed leave messages in the -wal. SQLite itself merges them,
 committed pages of the -wal replace those of the database while it is read (https://www.sqlite.org/fileformat2.html#walformat).
 """
 
-import os
+from copy import copy
 from pathlib import Path
-from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -25,31 +24,26 @@ class SqliteReader(Sqlite3Reader):
     def __init__(self, path: Path) -> None:
         wal = path.with_name(path.name + "-wal")
         has_pages = wal.is_file() and wal.stat().st_size > _HEAD_BYTES
-        super().__init__(_WalDatabase(path, wal) if has_pages else path)  # type: ignore[arg-type]
+        super().__init__(_Merged(path, wal) if has_pages else path)  # type: ignore[arg-type]
 
 
-class _WalDatabase:
-    """A database with its -wal. It has the methods by which rosbags reads a path that is no file of the system."""
+class _Merged:
+    """A database with its -wal: what rosbags asks of a path that is no file of the system, and of the file there."""
 
     def __init__(self, path: Path, wal: Path) -> None:
-        self._path, self._wal = path, wal
-        self._frame_of, self._page_bytes, pages = _committed(np.memmap(wal, np.uint8, "r"))
-        self._bytes = pages * self._page_bytes or path.stat().st_size
+        self._path, self._position = path, 0
+        self._bytes, self._wal = (np.memmap(file, np.uint8, "r") for file in (path, wal))
+        self._frame_of, self._page_bytes, pages = _committed(self._wal)
+        self.st_size = pages * self._page_bytes or len(self._bytes)
 
     def __str__(self) -> str:
         return str(self._path)
 
-    def stat(self) -> SimpleNamespace:
-        return SimpleNamespace(st_size=self._bytes)
+    def stat(self) -> "_Merged":
+        return self
 
-    def open(self, _mode: str) -> "_MergedFile":
-        return _MergedFile(self._path, self._wal, self._frame_of, self._page_bytes)
-
-
-class _MergedFile:
-    def __init__(self, path: Path, wal: Path, frame_of: dict[int, int], page_bytes: int) -> None:
-        self._file, self._wal = path.open("rb"), wal.open("rb")
-        self._frame_of, self._page_bytes, self._position = frame_of, page_bytes, 0
+    def open(self, _mode: str) -> "_Merged":
+        return copy(self)
 
     def seek(self, position: int) -> None:
         self._position = position
@@ -57,15 +51,13 @@ class _MergedFile:
     def read(self, size: int) -> bytes:
         """At the last `seek`; SQLite reads within one page."""
         page, offset = divmod(self._position, self._page_bytes)
-        frame = self._frame_of.get(page + 1)
-        if frame is None:
-            return os.pread(self._file.fileno(), size, self._position)
-        start = _HEAD_BYTES + frame * (_FRAME_HEAD_BYTES + self._page_bytes) + _FRAME_HEAD_BYTES
-        return os.pread(self._wal.fileno(), size, start + offset)
+        content, frame = self._bytes[self._position :], self._frame_of.get(page + 1)
+        if frame is not None:
+            content = self._wal[_HEAD_BYTES + frame * (_FRAME_HEAD_BYTES + self._page_bytes) + _FRAME_HEAD_BYTES + offset :]
+        return content[:size].tobytes()
 
     def close(self) -> None:
-        self._file.close()
-        self._wal.close()
+        """Nothing is open but memory."""
 
 
 def _committed(wal: UInt8Array) -> tuple[dict[int, int], int, int]:

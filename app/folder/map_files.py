@@ -2,12 +2,12 @@
 
 import warnings
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 import yaml
 from PIL import Image
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.maps.grid import Cell, GridMap
@@ -41,9 +41,7 @@ class MapDescription(BaseModel):
     negate: bool = False
     occupied_thresh: float = Field(0.65, ge=0, le=1)
     free_thresh: float = Field(0.25, ge=0, le=1)
-    mode: Annotated[
-        Literal["trinary", "scale", "raw"], BeforeValidator(lambda mode: mode.lower() if isinstance(mode, str) else mode)
-    ] = "trinary"
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
 
 
 def write_grid(path: Path, grid: GridMap) -> None:
@@ -78,14 +76,12 @@ def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bo
         raise InputError(f"--resolution {resolution_m:g}: give the edge of a pixel in metres, as in 0.05; {most}")
     if path.suffix.lower() in (".yaml", ".yml"):
         description = _read_description(path)
-        image = path.parent / description.image
+        named = path.parent / description.image
         # map_saver writes an absolute path, of the computer where the map was made.
-        beside = path.parent / image.name
-        image = beside if beside.is_file() and not image.is_file() else image
+        image = next((file for file in (named, path.parent / named.name) if file.is_file()), named)
         pixels = read_image(image, f"{path}: its image ")
-        if description.mode != "raw" and not description.negate:
-            pixels = _without_noise(pixels, image)
-        cells = _cells(pixels, description)
+        three_values = description.mode != "raw" and not description.negate
+        cells = _cells(_without_noise(pixels, image) if three_values else pixels, description)
         origin = np.array(description.origin[:2])
         return GridMap(np.ascontiguousarray(cells[::-1]), origin, resolution_m or description.resolution)
     if path.suffix.lower() not in IMAGES:
@@ -148,7 +144,7 @@ def _read_description(path: Path) -> MapDescription:
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no keys and values; give a YAML file of map_server's")
     try:
-        description = MapDescription.model_validate(content)
+        description = MapDescription.model_validate(content | {"mode": str(content.get("mode", "trinary")).lower()})
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])

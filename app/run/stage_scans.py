@@ -31,7 +31,7 @@ _BLOCKS_TOGETHER = 10
 of each of its entities.
 """
 _REASONS_TOLD = 5
-"""Number of skipped clouds, and of ranges of scans, that are named one by one."""
+"""Number of skipped clouds that are told one by one while the run goes on."""
 
 
 @dataclass(frozen=True)
@@ -217,24 +217,14 @@ def _summarise(run: Run, blocks: list[Block], summaries: list[BlockSummary]) -> 
             f"returns farther than {run.settings.scan.range_max_m:g} m away were left out (scan.range_max_m): "
             f"{beyond.sum():,}, in {np.count_nonzero(beyond):,} of {len(beyond):,} scans"
         )
-
-
     rejected_m, scan = (np.concatenate([getattr(s, name) for s in summaries]) for name in ("rejected_m", "scan"))
     if rejected_m.any():
         scans, off_m = scan[rejected_m != 0], float(np.median(rejected_m[rejected_m != 0]))
-        side = "below" if off_m < 0 else "above"
         run.warn(
-            f"{len(scans):,} scans ({ranges(scans)}) show more ground {100 * abs(off_m):.0f} cm {side} the floor under the "
-            "robot than at its height, as outside a window; it was not taken for the floor. "
-            f"'ffmap inspect {run.folder.path} --scan {scans[0]}' shows it"
+            f"{len(scans):,} of the scans {scans[0]} to {scans[-1]} show more ground {100 * abs(off_m):.0f} cm "
+            f"{'below' if off_m < 0 else 'above'} the floor under the robot than at its height, as outside a window; it was not "
+            f"taken for the floor. 'ffmap inspect {run.folder.path} --scan {scans[0]}' shows it"
         )
-
-
-def ranges(numbers: IntArray) -> str:
-    """Ascending numbers as in "3 to 5, 9"; the first few ranges of many."""
-    parts = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
-    told = [str(part[0]) if len(part) == 1 else f"{part[0]} to {part[-1]}" for part in parts[:_REASONS_TOLD]]
-    return ", ".join([*told, *(["..."] if len(parts) > _REASONS_TOLD else [])])
 
 
 def _scans_by_topic(run: Run, summaries: list[BlockSummary]) -> dict[str, dict[str, int]]:
