@@ -48,7 +48,7 @@ class Seen:
         if not len(source) or not len(target):
             return []
         T_odom_level = transforms.invert(self._T_level_odom)
-        places = []
+        places: list[FloatArray] = []
         for T_plane in likely_motions(source, target):
             yaw_rad = float(np.arctan2(T_plane[1, 0], T_plane[0, 0]))
             T_level_turned = transforms.from_yaw(yaw_rad, [*T_plane[:2, 2], T_level_last[2, 3]])
