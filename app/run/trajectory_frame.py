@@ -100,7 +100,8 @@ def find_pose_frame(
             fits = other_m < _FITS * noise_m and _BETTER * other_m < as_base_m
             if fits and other_m < best_m and other_share > share:
                 best, T_best, best_m, share = other, T, other_m, other_share
-    if best_m > _FITS * noise_m and (best_m > _CHANCE_M or share < _SHARE_MIN):
+    hardly_meets = share < _SHARE_MIN and best_m > _BLURRED * noise_m
+    if hardly_meets or best_m > max(_CHANCE_M, _FITS * noise_m):
         raise InputError(
             f"--trajectory {name}: surfaces that {sensor.lidar.topic} saw at different times do not "
             f"meet ({100 * best_m:.1f} cm apart), of whatever frame the poses are; give poses of this "

@@ -87,7 +87,11 @@ def test_poses_by_which_surfaces_disagree_are_told_or_refused(
     backwards = given(inputs, tmp_path / "a.tum", true.T_map_base[::-1], true.stamp_ns)
     assert "which blurs the map" in backwards.warnings[0]
     assert backwards.frame == inputs.rig.base_frame
-    T = true.T_map_base.copy()
-    T[:, :3, 3] *= 100.0
-    with pytest.raises(InputError, match="saw at different times do not meet"):
-        given(inputs, tmp_path / "a.tum", T, true.stamp_ns)
+    centimetres = true.T_map_base.copy()
+    centimetres[:, :3, 3] *= 100.0
+    turning = [
+        transforms.from_yaw(0.7 * s, [0, 0, 0]) for s in (true.stamp_ns - true.stamp_ns[0]) / 1e9
+    ]
+    for T in (centimetres, turning @ true.T_map_base):
+        with pytest.raises(InputError, match="saw at different times do not meet"):
+            given(inputs, tmp_path / "a.tum", T, true.stamp_ns)
