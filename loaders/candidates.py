@@ -21,6 +21,7 @@ UPRIGHT_DEG = 45.0
 _SAMPLES = 8
 _VIEW_MIN_DEG = 150.0  # Of a lidar whose turn is half hidden; cameras and solid-state lidars see up to 120
 _LOOKED_AT = 5000  # Points of a cloud
+_MOVED_M = 0.3  # From ring to ring, at the ranges of a room
 _ON_RINGS_MIN = 0.875  # Minimum share of the returns near a ring of one lidar; by chance it is a half
 
 
@@ -146,14 +147,15 @@ def _merged_of(bag: Bag, merged: Candidate, candidates: list[Candidate]) -> list
     lidars = [c for c in candidates if c.ringed]
     tree = read_frame_tree(bag, {c.topic: c.frame_id for c in (merged, *lidars)})
     placed = [(c, T) for c in lidars if (T := tree.between(c.frame_id, merged.frame_id)) is not None]
-    on = [
-        [on_rings(transforms.apply(T, points), c.decoding.rings) for c, T in placed]
-        for points in merged.clouds
-        if placed
-    ]
-    share = max((float(np.mean(np.any(rings, axis=0))) for rings in on), default=0.0)
-    # By chance a return is on a ring of every second lidar.
-    return [c.topic for c, _ in placed] if share > 1 - 0.5 ** (len(placed) + 1) else []
+
+    def share(points: FloatArray) -> float:
+        on = [on_rings(transforms.apply(T, points), c.decoding.rings) for c, T in placed]
+        return float(np.mean(np.any(on, axis=0)))
+
+    draw = np.random.default_rng(0)
+    # Halfway between all returns and as many as are there by chance, which is the share of the same returns moved.
+    found = placed and any(share(p) > (1 + share(p + draw.normal(0, _MOVED_M, p.shape))) / 2 for p in merged.clouds)
+    return [c.topic for c, _ in placed] if found else []
 
 
 def _unlike(stamps: IntArray, others: IntArray) -> bool:

@@ -69,6 +69,13 @@ class FrameTree:
             above.append(edge.parent)
         return above
 
+    def rooted_at(self, frame: str) -> tuple[StaticTransform, ...]:
+        """All transforms, with those above a frame inverted, so that it is the topmost."""
+        above = self.above(frame)
+        inverted = [self._by_child[child] for child in above[:-1]]
+        others = (edge for edge in self.edges if edge.child not in above)
+        return (*(StaticTransform(e.child, e.parent, transforms.invert(e.T_parent_child)) for e in inverted), *others)
+
     def between(self, target: str, source: str) -> FloatArray | None:
         """T_target_source; None where no transforms join the two."""
         target_root, T_root_target = self.root(target)

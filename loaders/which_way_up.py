@@ -13,7 +13,7 @@ _ALONG = 0.9  # Minimum cosine between a frame's axis and the upright one
 _OVERTURNED = 1.5  # Times nearer than the ceiling the floor must be: a lidar above 60 % of a room's height is rare
 _DOUBTFUL = 4 / 3  # The same where a frame's z contradicts the base's, and for a warning
 _BASE_MAX_M = 0.35  # Height of a base's origin: on the floor, or at the axles
-_HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
+_HALF_TURN = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +76,12 @@ def find_upright_base(
         return UprightBase(base, np.eye(4), None, warning)
     side = "down" if up[2] < -_ALONG else "sideways"
     said = f"z of {base} points {side}: {seen}, and the nearer one is the floor. The base frame is now"
+    own = {each.frame_id for each in lidars}
     for frame, T in T_of.items():
-        if T[:3, 2] @ up > _ALONG:
+        if frame not in own and T[:3, 2] @ up > _ALONG:
             return UprightBase(frame, T, None, f"{said} {frame}; --rig FILE overrules that")
-    turned = list(T_of)[place]
-    T_base_new = T_of[turned] @ _HALF_TURN
-    new = f"{turned or 'lidar'}_upright"
-    warning = f"{said} {new}, half a turn from {turned or 'the lidar'}; --rig FILE overrules that"
-    return UprightBase(new, T_base_new, StaticTransform(turned, new, _HALF_TURN), warning)
+    T_base_new = np.eye(4)
+    T_base_new[:3, :3] = list(T_of.values())[place][:3, :3] @ (_HALF_TURN if overturned else np.eye(3))
+    new = f"{base or 'lidar'}_upright"
+    warning = f"{said} {new}, {base or 'the lidar'} turned about its origin; --rig FILE overrules that"
+    return UprightBase(new, T_base_new, StaticTransform(base, new, T_base_new), warning)

@@ -8,7 +8,6 @@ import numpy as np
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.base.transforms import invert
 from ffmap.app.folder.names import LABELLED_BAG, LABELLED_FOLDER
 from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.bag_writer import BagWriter
@@ -40,15 +39,12 @@ def write_labelled_bag(
     clouds: digest of the bytes of all clouds that were labelled, by topic, where known. Raises InputError where the bag holds
     others now.
     """
-    labelled, static = iter(labels), rig.static_transforms
+    labelled, static = iter(labels), rig.tree.rooted_at(rig.base_frame)
     digests: list[list[bytes]] = [[] for _ in indices]
     following, posed_ns = next(labelled, None), None
     container = bags[0].container
     name = LABELLED_BAG if container == "ros1" else LABELLED_FOLDER
     scans = ScanOrder.of(indices)
-    # A frame has one parent: where the base is not the topmost, the map's pose is that of the topmost above it.
-    root, T_root_base = rig.tree.root(rig.base_frame)
-    T_base_root = invert(T_root_base)
 
     def read(lidar: int, first: int, count: int) -> Iterator[tuple[int, Message | CloudError]]:
         return read_messages(bags[lidar], indices[lidar], first, count, digests[lidar])
@@ -72,8 +68,7 @@ def write_labelled_bag(
                 static = ()
             # Clouds that were taken at once have one pose.
             if index.usable[cloud] and len(trajectory) and stamp != posed_ns:
-                T_map_base = trajectory.at(index.stamp_ns[cloud : cloud + 1])[0]
-                pose = StaticTransform("map", root, T_map_base @ T_base_root)
+                pose = StaticTransform("map", rig.base_frame, trajectory.at(index.stamp_ns[cloud : cloud + 1])[0])
                 writer.write("/tf", writer.transforms(stamp, [pose]), log_time_ns)
                 posed_ns = stamp
             writer.write(index.topic, _labelled(message, index.topic, label, label_scan), log_time_ns)

@@ -421,6 +421,20 @@ def test_a_cloud_merged_of_the_lidars_is_not_used(tmp_path, frame):
     assert "not used: /merged (a merged cloud" in rig.warnings[0]
 
 
+def test_a_lidar_without_rings_is_no_merged_cloud(tmp_path):
+    entries = two_lidars(MARS)
+    for i in range(4):
+        stamp_ns = START_NS + i * PERIOD_NS
+        seen = only(sweep(seed=i, columns=180), "x", "y", "z")
+        rays = np.random.default_rng(i).normal(size=(len(seen), 3))
+        seen["x"], seen["y"], seen["z"] = 3 * rays.T / np.linalg.norm(rays, axis=1)
+        entries.append(("/livox", stamp_ns + PERIOD_NS, cloud(seen, stamp_ns, "livox")))
+    entries.append(("/tf_static", START_NS + 1, tf_message([("base_link", "livox", [0, 0, 1], UPRIGHT)])))
+    rig = rig_of(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
+    assert "/livox" in [lidar.topic for lidar in rig.verticals]
+    assert not any("not used" in warning for warning in rig.warnings)
+
+
 def test_two_lidars_on_one_topic_are_named(tmp_path):
     def joined(left, right):
         entries = [*clouds("/points", 12, left), *clouds("/points", 12, right, late_ns=PERIOD_NS // 3)]

@@ -39,15 +39,24 @@ def test_base_link_is_the_base_below_a_root_that_does_not_point_up(T_root_base):
     assert "base_link" in found.warning
 
 
-def test_a_lidar_that_is_upside_down_against_its_transform():
-    # Its transform turns it, and it is not turned.
-    _, found = base_of(("base_link", "lidar", raised(0.5) @ DOWN))
-    assert (found.frame, found.edge) == ("lidar", None)
-    # It is turned, and its transform, or the lack of one, does not say so.
-    for edges in [("base_link", "lidar", raised(0.5))], []:
-        base, found = base_of(*edges, turn=DOWN)
-        assert (found.frame, found.edge.parent) == (f"{base}_upright", base)
-        np.testing.assert_allclose(found.T_base_frame, DOWN)
+@pytest.mark.parametrize(
+    ("edges", "turn"),
+    [
+        ([("base_link", "lidar", raised(0.5) @ DOWN)], np.eye(4)),
+        ([("base_link", "lidar", raised(0.5))], DOWN),
+        ([], DOWN),
+    ],
+)
+def test_a_base_is_turned_where_a_lidar_is_upside_down_against_its_transform(edges, turn):
+    base, found = base_of(*edges, turn=turn)
+    assert (found.frame, found.edge.parent) == (f"{base}_upright", base)
+    np.testing.assert_allclose(found.T_base_frame, DOWN)
+
+
+def test_a_base_is_turned_as_the_lidar_where_no_other_frame_is_upright():
+    _, found = base_of(("camera", "lidar", OPTICAL))
+    assert found.frame == "camera_upright"
+    np.testing.assert_allclose(found.T_base_frame, OPTICAL)
 
 
 def test_a_lidar_that_is_turned_as_its_transform_says():

@@ -15,7 +15,7 @@ from ffmap.app.folder.labelled_bag import write_labelled_bag
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.frames import StaticTransform
+from ffmap.loaders.frames import StaticTransform, edges_of
 from ffmap.loaders.rig import Rig
 from ffmap.loaders.scans import index_clouds, read_digests
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, sweep, write_bag
@@ -104,6 +104,16 @@ class TestLabelledBag:
             for points, old in zip(own, before, strict=True):
                 np.testing.assert_array_equal(points[:, :22], old)
         assert len([m for topic, _, m in messages if topic == "/tf"]) == 3
+
+    def test_the_base_is_the_topmost_frame(self, tmp_path: Path):
+        T_root_base = transforms.from_yaw(0.3, [1.0, 0.0, -2.0])
+        edges = (StaticTransform("root", "base", T_root_base), *RIG.static_transforms)
+        with open_bag(make_bag(tmp_path / "in.bag")) as bag:
+            rig = Rig("base", None, (), edges, ())
+            written = write_labelled_bag(tmp_path, [bag], [index_clouds(bag, "/vertical")], rig, drive(), [])
+        static = {e.child: e for topic, _, m in read_all(written) if topic == "/tf_static" for e in edges_of(m)}
+        assert {child: edge.parent for child, edge in static.items()} == {"root": "base", "lidar": "base"}
+        np.testing.assert_allclose(static["root"].T_parent_child @ T_root_base, np.eye(4), atol=1e-9)
 
     @pytest.mark.parametrize("name", CONTAINERS)
     def test_clouds_that_changed_since_they_were_labelled_are_refused(self, tmp_path: Path, name: str):
