@@ -34,7 +34,7 @@ def find_poses(run: Run, given: Trajectory | None, labeller: Labeller | None) ->
     run.state.counts |= {"registrations": len(odometry), "weak_registrations": len(weak)}
     if weak:
         run.warn(
-            f"registration was weak for {len(weak)} of {len(odometry)} scans (the first: {weak[0]}); poses may be off there: "
+            f"registration was weak for {len(weak)} of {len(odometry)} scans, for example: {weak[0]}; poses may be off there: "
             "see the recording's tab Odometry"
         )
     for warning in odometry.warnings:
