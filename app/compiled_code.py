@@ -23,6 +23,7 @@ SOURCES = (
     "loaders/firing_times.py",
     "loaders/pointcloud2.py",
     "loaders/rings.py",
+    "loaders/sqlite_wal.py",
 )
 """Folders and files that hold compiled functions and what these use."""
 

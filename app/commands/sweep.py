@@ -56,6 +56,8 @@ class SweepRun:
     bag: Path
     command: list[str]
     combination: Combination
+    evaluated: bool
+    """Whether it has figures when it is finished."""
     reused: bool = False
     error: str | None = None
     figures: dict[str, float] = field(default_factory=dict)
@@ -64,9 +66,10 @@ class SweepRun:
     def finished(self) -> bool:
         """Whether the folder holds the complete run; its name stands for bag, settings and options."""
         try:
-            return RunFolder(self.out).read_json().get("outcome") == "complete"
+            complete = RunFolder(self.out).read_json().get("outcome") == "complete"
         except InputError:
             return False
+        return complete and (not self.evaluated or (self.out / METRICS).exists())
 
 
 def sweep(words: SweepParameters) -> int:
@@ -91,7 +94,7 @@ def sweep(words: SweepParameters) -> int:
 
     def runs_of(combination: Combination) -> list[SweepRun]:
         settings = apply(base, combination)
-        return [_run_of(inputs, settings, combination, outputs, words, out) for inputs in bags]
+        return [_run_of(bag, settings, combination, outputs, words, out, truth) for bag in bags]
 
     runs: dict[Path, SweepRun] = {}
     try:
@@ -144,6 +147,7 @@ def _run_of(
     outputs: Sequence[Output],
     words: SweepParameters,
     out: Path,
+    evaluated: bool,
 ) -> SweepRun:
     """The run of one bag with one combination. Its folder's name holds a hash of all that it depends on."""
     bag = inputs.bag_path.resolve()
@@ -167,7 +171,7 @@ def _run_of(
     digest = hashlib.sha256(json.dumps(known_by, sort_keys=True).encode()).hexdigest()[:8]
     folder = out / f"{inputs.bag_path.stem}-{digest}"
     command = ["run", *map(str, bag.parts), "--out", str(folder), "--overwrite", *options]
-    return SweepRun(folder, bag.parts[0], command, combination)
+    return SweepRun(folder, bag.parts[0], command, combination, evaluated)
 
 
 class _Performer:

@@ -445,10 +445,10 @@ def test_a_scan_whose_registration_fails_has_no_pose_and_spoils_no_other(monkeyp
     scans = [(i, synthetic.scan(i, 360), None) for i in range(5)]
     usual, failed = Refiner.refine, []
 
-    def refine(self: Refiner, scan: Scan, *more: Any) -> Refinement:
+    def refine(self: Refiner, scan: Scan, *more: Any, **options: Any) -> Refinement | None:
         if scan is scans[2][1]:
             raise ValueError("no surface")
-        return usual(self, scan, *more)
+        return usual(self, scan, *more, **options)
 
     monkeypatch.setattr(Refiner, "refine", refine)
     steps = OdometrySettings(), RefinementSettings()

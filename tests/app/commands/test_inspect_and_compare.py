@@ -584,7 +584,7 @@ def test_what_cannot_be_inspected_is_one_line(
     ):
         with pytest.raises(InputError, match=wanted):
             inspect_command.inspect(path, scan, line, None, out, spawn=False)
-    for taken in (runs["usual"] / "recording.rrd", runs["other"] / "recording.rrd", runs["other"] / "reference.rrd"):
+    for taken in (runs["usual"] / "recording.rrd", runs["other"] / "recording.rrd"):
         with pytest.raises(InputError, match="belongs to the run"):
             inspect_command.inspect(runs["usual"], "3", None, None, taken, spawn=False)
     assert not out.exists()

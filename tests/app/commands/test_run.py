@@ -625,7 +625,7 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
     said += process.communicate(timeout=60)[1].splitlines(keepends=True)
     assert process.returncode == 130
     assert said[-1] == f"ffmap: interrupted; 'ffmap run --resume {out}' goes on with the run\n"
-    assert all(line.split(":")[0] in ("odometry", "scans", "building", "final") for line in said[:-1]), said
+    assert all(line.split(":")[0].split(" of ")[0] in ("odometry", "scans", "building", "final") for line in said[:-1]), said
     assert json.loads((out / "run.json").read_text())["outcome"] == "aborted"
 
 
@@ -727,13 +727,7 @@ def test_hints_name_what_helps(environment: dict[str, str], finished: Path, tmp_
     assert_one_line_error(done, "less than or equal to 1")
     assert "noise_m" not in done.stderr
     assert "angled" in ffmap_here(environment, "simulate", "--help").stdout
-    (tmp_path / "notes.md").write_text("no map")
-    done = ffmap_here(environment, "maps", finished, "--reference", tmp_path / "notes.md")
-    assert_one_line_error(done, "notes.md: is no map")
     assert_one_line_error(ffmap_here(environment, "rooms", finished / "doors.geojson"), "doors.geojson: is no map")
-    done = ffmap_here(environment, "maps", finished, "--reference", finished / "overlay.png")
-    assert_one_line_error(done, "YAML")
-    assert "--resolution" not in done.stderr
     assert_one_line_error(ffmap_here(environment, "rooms", finished / "map.yaml", "--resolution", "50"), "--resolution 50")
 
 

@@ -157,7 +157,7 @@ def test_latest_points_at_the_newest_run_and_no_other_link_is_lost(home: RunFold
 
 def test_every_file_of_a_run_is_known_by_its_name() -> None:
     written = {value for name, value in vars(run_folder).items() if name.isupper() and isinstance(value, str)}
-    assert written - {REPLACEMENT, run_folder.PROGRAM} <= run_folder.file_names()
+    assert written - {REPLACEMENT, run_folder.PROGRAM, run_folder.SWEEP_TABLE} <= run_folder.file_names()
 
 
 def test_what_is_complete_takes_its_place_before_the_next_replacement(home: RunFolder) -> None:

@@ -30,6 +30,8 @@ def registrations() -> list[Registration]:
             refined_inlier_share=0.9,
             weakest_share=0.1,
             refused=False,
+            agreement=float("nan"),
+            rival=float("nan"),
             inlier_share=0.9,
             milliseconds=12.0,
         )
