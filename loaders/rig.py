@@ -42,6 +42,7 @@ _EQUAL_WITHIN_DEG = 5.0  # Lidars whose axes differ by less are equally upright:
 _SCAN_POINTS = 100_000  # of a scan without rings: as many as 128 rings have, a degree's third apart
 _SCAN_MAX_NS = 500_000_000  # In more, people walk on and the robot leaves the room
 _REACH_MAX_M = 100.0
+_ROBOT_FRAMES = ("base_footprint", "base_link")
 _SAME_DEG, _SAME_M = 2.0, 0.05  # Mounts that differ by less are the same one, measured twice
 
 
@@ -342,8 +343,7 @@ def _place(
         return _place_by_file(candidates, described, entries, tree)
     roots = {c.topic: tree.root(c.frame_id) for c in candidates}
     if len(candidates) == 1:
-        base, T = roots[candidates[0].topic]
-        return [replace(candidates[0], T_base_sensor=T)], base, tree.edges
+        return *_in_base(candidates, roots[candidates[0].topic][0], tree), tree.edges
     known = [c for c in candidates if c.frame_id in tree.frames]
     unknown = [c for c in candidates if c not in known]
     wanted = [c for c in candidates if c.topic in chosen]
@@ -369,7 +369,7 @@ def _place(
     by_root: dict[str, list[Candidate]] = {}
     for candidate in known:
         by_root.setdefault(roots[candidate.topic][0], []).append(candidate)
-    base, together = max(by_root.items(), key=lambda item: (len(item[1]), [c.worth for c in item[1]]))
+    root, together = max(by_root.items(), key=lambda item: (len(item[1]), [c.worth for c in item[1]]))
     apart = [c for c in known if c not in together]
     if apart and (len(together) < 2 or any(c.topic in chosen for c in apart)):
         raise InputError(
@@ -377,7 +377,16 @@ def _place(
             f"{apart[0].frame_id} ({apart[0].topic}); the bag's frames are: {', '.join(tree.frames)}. "
             "Give --rig FILE.toml"
         )
-    return [replace(c, T_base_sensor=roots[c.topic][1]) for c in together], base, tree.edges
+    return *_in_base(together, root, tree), tree.edges
+
+
+def _in_base(candidates: list[Candidate], root: str, tree: FrameTree) -> tuple[list[Candidate], str]:
+    """The candidates in the robot's own frame (REP 105) above all of them, or else in the topmost frame."""
+    above = [tree.above(c.frame_id) for c in candidates]
+    common = [frame for frame in reversed(above[0]) if all(frame in own for own in above)]
+    base = next((frame for frame in common if frame.rpartition("/")[2] in _ROBOT_FRAMES), root)
+    T_base_root = transforms.invert(tree.root(base)[1])
+    return [replace(c, T_base_sensor=T_base_root @ tree.root(c.frame_id)[1]) for c in candidates], base
 
 
 def _upright(

@@ -10,6 +10,7 @@ from ffmap.algorithms.poses.which_way_up import find_levels, upright_axis
 from ffmap.loaders.frames import FrameTree, StaticTransform
 
 _ALONG = 0.9  # Minimum cosine between a frame's axis and the upright one
+_LEVEL = 0.97  # The same for a map that its floor can level: it slopes by up to 15 degrees
 _OVERTURNED = 1.5  # Times nearer than the ceiling the floor must be: a lidar above 60 % of a room's height is rare
 _DOUBTFUL = 4 / 3  # The same where a frame's z contradicts the base's, and for a warning
 _BASE_MAX_M = 0.35  # Height of a base's origin: on the floor, or at the axles
@@ -67,18 +68,19 @@ def find_upright_base(
         ratio = 0.0
     overturned = ratio >= (_DOUBTFUL if np.any(axes @ axis < -_ALONG) else _OVERTURNED)
     up = -axis if overturned else axis
-    if (up[2] > _ALONG and ratio < _DOUBTFUL) or (up[2] > _ALONG and overturned):
+    leans = place > 0 and up[2] < _LEVEL
+    if up[2] > _ALONG and not leans and (ratio < _DOUBTFUL or overturned):
         return None
     near_m, far_m = sorted((levels.below_m, levels.above_m))
     seen = f"{lidar.topic} is {near_m:.1f} m from a level surface and {far_m:.1f} m from the opposite one"
-    if up[2] > _ALONG or not may_change:
+    if (up[2] > _ALONG and not leans) or not may_change:
         warning = f"z of {base} may not point up: {seen}; check the transforms, or pass --rig FILE"
         return UprightBase(base, np.eye(4), None, warning)
-    side = "down" if up[2] < -_ALONG else "sideways"
+    side = "down" if up[2] < -_ALONG else "aslant" if up[2] > _ALONG else "sideways"
     said = f"z of {base} points {side}: {seen}, and the nearer one is the floor. The base frame is now"
     own = {each.frame_id for each in lidars}
     for frame, T in T_of.items():
-        if frame not in own and T[:3, 2] @ up > _ALONG:
+        if frame not in own and T[:3, 2] @ up > (_LEVEL if leans else _ALONG):
             return UprightBase(frame, T, None, f"{said} {frame}; --rig FILE overrules that")
     T_base_new = np.eye(4)
     T_base_new[:3, :3] = list(T_of.values())[place][:3, :3] @ (_HALF_TURN if overturned else np.eye(3))

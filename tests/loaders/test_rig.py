@@ -71,10 +71,22 @@ def test_roles_may_be_overridden(tmp_path):
     )
 
 
-def test_base_is_the_root_of_the_tree(tmp_path):
-    edges = [("footprint", "base_link", [0, 0, 0.2], [0, 0, 0, 1]), *MARS]
+@pytest.mark.parametrize(
+    ("top", "base", "height_m"),
+    [("base_footprint", "base_footprint", 0.768), ("world", "base_link", 0.568), ("r1/base_footprint", "r1/base_footprint", 0.768)],
+)
+def test_base_is_the_topmost_frame_of_the_robot(tmp_path, top, base, height_m):
+    edges = [(top, "base_link", [0, 0, 0.2], [0, 0, 0, 1]), *MARS]
     rig = rig_of(write_bag(tmp_path / "a.bag", two_lidars(edges)))
-    assert rig.base_frame == "footprint"
+    assert rig.base_frame == base
+    np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, 3], [0.12, 0.01, height_m])
+
+
+def test_base_is_the_root_where_no_frame_has_a_robots_name(tmp_path):
+    edges = [("chassis", "base_link", [0, 0, 0.2], [0, 0, 0, 1]), *MARS]
+    edges = [(*(name.replace("base_link", "trunk") for name in edge[:2]), *edge[2:]) for edge in edges]
+    rig = rig_of(write_bag(tmp_path / "a.bag", two_lidars(edges)))
+    assert rig.base_frame == "chassis"
     np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, 3], [0.12, 0.01, 0.768])
 
 
@@ -356,13 +368,14 @@ def test_clouds_without_times_warn(tmp_path):
 
 def test_a_base_that_no_robot_reaches_is_refused_and_a_rig_file_names_another(tmp_path):
     """Static transforms may go on to a frame of the town."""
-    edges = [("utm", "base_link", [432_123.4, 5_412_345.6, 450.0], [0, 0, 0, 1]), *MARS]
+    edges = [("utm", "trunk", [432_123.4, 5_412_345.6, 450.0], [0, 0, 0, 1])]
+    edges += [("trunk", *edge[1:]) if edge[0] == "base_link" else edge for edge in MARS]
     path = write_bag(tmp_path / "a.bag", two_lidars(edges))
     error = error_of(path)
     assert "away from utm, which no robot spans" in error
     assert 'base = "base_link"' in error
     file = tmp_path / "rig.toml"
-    file.write_text('base = "base_link"\n[[lidar]]\ntopic = "/v/points"\n[[lidar]]\ntopic = "/h/points"\n')
+    file.write_text('base = "trunk"\n[[lidar]]\ntopic = "/v/points"\n[[lidar]]\ntopic = "/h/points"\n')
     rig = rig_of(path, rig_file=file)
     np.testing.assert_allclose(rig.horizontal.T_base_sensor[:3, 3], [0.12, 0.01, 0.568], atol=1e-6)
 
