@@ -66,14 +66,15 @@ def find_own_body(clouds: Sequence[FloatArray], T_base_sensor: FloatArray) -> Ow
     reach of a body: so do the floor and the walls of a corridor, which may stay in one place of the robot too.
     T_base_sensor: (4, 4).
     """
-    occupied, share = np.zeros((_CELLS,) * 3, bool), np.zeros((_CELLS,) * 3, np.float32)
+    alone, share = np.zeros((2, *(_CELLS,) * 3), np.float32)
     for cloud in clouds:
         own = _grid(_voxels(cloud[(np.abs(cloud) < _HALF_M).all(axis=1)]))
-        occupied |= own
+        alone += own / np.float32(len(clouds))
         # A return on a voxel's edge falls on either side of it.
         share += ndimage.maximum_filter(own, 3) / np.float32(len(clouds))
-    voxel = np.argwhere(occupied & (share >= _OFTEN))
-    always = share[tuple(voxel.T)] >= _ALWAYS
+    voxel = np.argwhere((alone > 0) & (share >= _OFTEN))
+    # A stray return beside a surface that is always there is not always there itself.
+    always = (share[tuple(voxel.T)] >= _ALWAYS) & (alone[tuple(voxel.T)] >= _OFTEN)
     place_sensor = OwnBody(voxel, 0.0).points_sensor
     place_base = transforms.apply(T_base_sensor, place_sensor)
     beyond = np.linalg.norm(place_sensor, axis=1) >= _REACH_M
