@@ -96,6 +96,16 @@ class CheckedMount:
             record |= {"T_base_sensor": found.T_base_sensor.tolist(), "clock_ns": self.correction.clock_ns}
         return record
 
+    def late_warning(self, bag: str) -> str:
+        """What a user can do where only the whole drive shows the extrinsics to be off. bag: as it is typed."""
+        found = self.found
+        return (
+            f"{self.topic} sits {self.off_deg:.1f} deg and {100 * self.off_m:.1f} cm from where the bag or the rig file "
+            f"says, or its clock is {1e3 * found.clock_s:+.0f} ms off, as the whole drive shows: surfaces that both lidars "
+            f"see are {100 * found.rms_before_m:.1f} cm apart, and {100 * found.rms_after_m:.1f} cm by extrinsics that fit; "
+            f"run 'ffmap calibrate {bag} --out rig.toml', then 'ffmap run {bag} --rig rig.toml'"
+        )
+
     @property
     def warning(self) -> str:
         found, which = self.found, "" if self.alone else f"{self.topic} "

@@ -56,6 +56,17 @@ def settle_mounts(run: Run) -> Run:
     )
 
 
+def check_whole_drive(run: Run, trajectory: Trajectory) -> None:
+    """Warn of extrinsics that the whole drive shows to be off; a straight start hides a clock.
+
+    trajectory: T_map_base of the whole drive.
+    """
+    if run.options.refine_mount:
+        for mount in check_mounts(run.inputs, trajectory, run.settings, keep_agreeing=True):
+            if mount.is_off:
+                run.warn(mount.late_warning(run.inputs.bag_path.words))
+
+
 def _refusal(run: Run, mount: CheckedMount, odometry: Trajectory) -> str:
     """Name the transform that is wrong, about what it should be, and the way out."""
     inputs, bag = run.inputs, run.inputs.bag_path

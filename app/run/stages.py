@@ -27,7 +27,7 @@ from ffmap.app.record.whole_run import layout, log_own_body, log_static, log_war
 from ffmap.app.run.context import Run, RunOptions, RunState
 from ffmap.app.run.stage_building import build, draw, take_maps
 from ffmap.app.run.stage_final import finish
-from ffmap.app.run.stage_mounts import settle_mounts
+from ffmap.app.run.stage_mounts import check_whole_drive, settle_mounts
 from ffmap.app.run.stage_odometry import find_poses
 from ffmap.app.run.stage_scans import Labeller
 from ffmap.app.run.workers import make_pool
@@ -96,6 +96,7 @@ def _run_stages(run: Run, given: Trajectory | None) -> None:
             with run.stage("odometry"):
                 labeller = Labeller(run, pool) if run.inputs.verticals else None
                 poses = find_poses(run, given, labeller)
+                check_whole_drive(run, poses.trajectory)
             # Before any scan is labelled with these poses, so that a run that is resumed knows what they were made from.
             run.folder.write_json({**run.record, "bag": run.state.bag_as_read(run.record), "outcome": "running"})
             if labeller is None:

@@ -1,6 +1,7 @@
 """A mount that is not where the bag says it is: noticed in the first seconds, refined, used from then on and told."""
 
 import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -80,3 +81,10 @@ def test_a_mount_that_is_far_off_ends_the_run_before_the_odometry(folder: Path) 
     assert "roll, pitch, yaw = 90, 0, 90 deg would fit" in line
     assert "--from-motion" in line
     assert "odometry" not in json.loads((folder / "far" / "run.json").read_text())["timings_s"]
+
+
+def test_a_clock_that_is_off_is_named(folder: Path) -> None:
+    """Driving straight hides it in the first seconds; the whole drive shows it."""
+    write_rig(folder / "late.toml", rig_of(folder / "drive.bag"), np.eye(4), clock_s=0.06)
+    done = run(folder, "late", "--rig", folder / "late.toml", "--no-evaluate")
+    assert re.search(r"clock is -(5|6)\d ms off", done.stdout + done.stderr), done.stderr
