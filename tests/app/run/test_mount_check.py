@@ -83,8 +83,12 @@ def test_a_mount_that_is_far_off_ends_the_run_before_the_odometry(folder: Path) 
     assert "odometry" not in json.loads((folder / "far" / "run.json").read_text())["timings_s"]
 
 
-def test_a_clock_that_is_off_is_named(folder: Path) -> None:
+def test_a_clock_that_is_off_is_named(tmp_path: Path) -> None:
     """Driving straight hides it in the first seconds; the whole drive shows it."""
-    write_rig(folder / "late.toml", rig_of(folder / "drive.bag"), np.eye(4), clock_s=0.06)
-    done = run(folder, "late", "--rig", folder / "late.toml", "--no-evaluate")
+    values = SimulationSettings(building="small", seed=2, sensor="vlp16", duration_s=16.0)
+    simulate(tmp_path / "drive.bag", values)
+    write_rig(tmp_path / "late.toml", rig_of(tmp_path / "drive.bag"), np.eye(4), clock_s=0.06)
+    words = ("--rig", tmp_path / "late.toml", "--trajectory", "/truth/pose", "--no-evaluate")
+    done = run(tmp_path, "late", *words)
     assert re.search(r"clock is -(5|6)\d ms off", done.stdout + done.stderr), done.stderr
+    assert "ffmap calibrate" in done.stderr
