@@ -1,7 +1,6 @@
 """Compiled code is that of the sources as they are, and is kept where that can be written, without filling the disk."""
 
 import os
-import re
 import subprocess
 import sys
 import time
@@ -11,8 +10,6 @@ import pytest
 
 from ffmap.app import compiled_code as module
 from ffmap.app.compiled_code import SOURCES, VARIABLE, compiled_code
-from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP
 
 ROOT = Path(__file__).parents[2]
 CALLEE = "import numba\n\n@numba.njit(cache=True)\ndef callee() -> int:\n    return {}\n"
@@ -102,22 +99,3 @@ def test_a_folder_that_the_user_sets_counts(
 ) -> None:
     monkeypatch.setenv(VARIABLE, str(tmp_path / "mine"))
     assert compiled_code() == {}
-
-
-def test_warming_compiles_all_that_a_run_needs(tmp_path: Path) -> None:
-    """Numba reports each function that it loads from its cache or saves there."""
-
-    def functions(*command: object) -> set[str]:
-        # Unbuffered: processes share the pipe, and would cut each other's names.
-        environment = {**os.environ, "NUMBA_DEBUG_CACHE": "1", "PYTHONUNBUFFERED": "1"}
-        done = subprocess.run(
-            [*map(str, command)], env=environment, capture_output=True, text=True, check=True
-        )
-        return set(re.findall(r"data (?:loaded from|saved to) '([^']+)'", done.stdout))
-
-    bag = tmp_path / "a.bag"
-    simulate(bag, SimulationSettings(building="small", seed=3, duration_s=4.0))
-    compiled = functions(sys.executable, "-m", "ffmap.app.warm")
-    used = functions(*FFMAP, "run", bag, "--out", tmp_path / "run", "--quiet")
-    assert len(used) > 50
-    assert used <= compiled
