@@ -49,17 +49,6 @@ class Progress:
         if self._task is not None:
             self._bars.advance(self._task)
 
-    @property
-    def has_bar(self) -> bool:
-        """Whether the user sees a bar with the time left."""
-        return not self._bars.disable
-
-    def left_out(self) -> None:
-        """One step of the stage need not be done."""
-        if self._task is not None:
-            total = self._bars.tasks[0].total if self._bars.tasks else None
-            self._bars.update(self._task, total=None if total is None else total - 1)
-
     def warn(self, text: str) -> None:
         """Say what the user ought to know, once."""
         self._console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)

@@ -36,6 +36,7 @@ from ffmap.algorithms.truth.runs import (
     transitions,
 )
 from ffmap.app.analysis.run_labels import LabelSource, pair, side_by_side
+from ffmap.app.folder.figures import dotted
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import DOORS, METRICS, TRAJECTORY, WALLS, map_file
@@ -110,7 +111,7 @@ class Comparison:
 
 def differing_settings(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
     """The settings that are not the same in all runs, by their dotted names; None where a run has no such setting."""
-    return _differing([_flatten(run.part("settings")) for run in runs])
+    return _differing([dotted(run.part("settings")) for run in runs])
 
 
 def differing_provenance(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
@@ -122,7 +123,7 @@ def differing_provenance(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
                 "bag": str(run.bag_path) if run.bag_path else None,
                 "bag digest": run.part("bag").get("digest"),
                 "poses from": run.record.get("poses_from"),
-                **_flatten(run.part("options"), "option "),
+                **dotted(run.part("options"), "option "),
                 **{f"version of {k}": v for k, v in run.part("versions").items()},
             }
             for run in runs
@@ -138,9 +139,9 @@ def figures(runs: Sequence[FinishedRun]) -> dict[str, list[float | None]]:
         metrics = read_object(path, "run ffmap evaluate again") if path is not None else {}
         tables.append(
             {
-                **_flatten({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
-                **_flatten(run.part("counts"), "counts."),
-                **_flatten(run.part("timings_s"), "seconds."),
+                **dotted({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
+                **dotted(run.part("counts"), "counts."),
+                **dotted(run.part("timings_s"), "seconds."),
             }
         )
     rows = {name: list(map(_figure, values)) for name, values in _by_name(tables).items()}
@@ -299,16 +300,6 @@ def _by_name(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 
 def _differing(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     return {name: row for name, row in _by_name(tables).items() if any(value != row[0] for value in row)}
-
-
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= _flatten(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat
 
 
 def _figure(value: object) -> float | None:

@@ -112,7 +112,7 @@ def _segment(
     out = words.out or Path("rooms")
     own = out / path.stem if many or words.out is None else out
     _check_out(own, path, words)
-    grid = read_map(path, words.resolution, takes_resolution=True)
+    grid = read_map(path, words.resolution)
     if not (grid.cells == Cell.FREE).any():
         raise InputError(
             f"{path}: the map has no free cell; free is white (over 250) in an image, and what a YAML file's own free_thresh "

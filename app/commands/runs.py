@@ -110,7 +110,7 @@ def _read(folders: Sequence[Path]) -> Iterator[ListedRun]:
             typer.echo(f"not listed: {error}", err=True)
             continue
         parts = {name: part for name, part in record.items() if isinstance(part, Mapping)}
-        settings = _flat(parts.get("settings", {}))
+        settings = figures.dotted(parts.get("settings", {}))
         details = {
             "bag": Path(str(parts.get("bag", {}).get("path", ""))).name,
             "git_revision": parts.get("versions", {}).get("git_revision"),
@@ -118,15 +118,6 @@ def _read(folders: Sequence[Path]) -> Iterator[ListedRun]:
         }
         values = {**figures.figures_of(parts, metrics), **settings, **details}
         yield ListedRun(folder, values, settings)
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Settings by the names that --set takes."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        nested = isinstance(value, Mapping)
-        flat |= _flat(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": value}
-    return flat
 
 
 def parse_condition(text: str, known: Sequence[str]) -> "Holds":

@@ -63,11 +63,10 @@ def write_grid(path: Path, grid: GridMap) -> None:
     write_text(path, yaml.safe_dump(description, sort_keys=False, default_flow_style=None))
 
 
-def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bool = False) -> GridMap:
+def read_map(path: Path, resolution_m: float | None = None) -> GridMap:
     """The grid map of a .yaml, or of an image (see `IMAGES`).
 
     resolution_m: edge of a pixel in metres; needed for an image without YAML, in the place of the YAML's otherwise.
-    takes_resolution: whether the user could have given it.
     The origin's yaw turns the map; it is refused where it is not 0, for rooms are given in the map's frame.
     Raises InputError where it is no map.
     """
@@ -87,8 +86,9 @@ def read_map(path: Path, resolution_m: float | None = None, takes_resolution: bo
     if path.suffix.lower() not in IMAGES:
         raise InputError(f"{path}: is no map; give map_server's YAML file, or an image ({', '.join(IMAGES)})")
     if resolution_m is None:
-        how = ", or --resolution METRES of a pixel" if takes_resolution else ""
-        raise InputError(f"{path}: an image has no scale; give map_server's YAML file that names it{how}")
+        raise InputError(
+            f"{path}: an image has no scale; give map_server's YAML file that names it, or --resolution METRES of a pixel"
+        )
     pixels = _without_noise(read_image(path), path)
     cells = np.select([pixels >= WHITE_MIN, pixels <= BLACK_MAX], [Cell.FREE, Cell.OCCUPIED], Cell.UNKNOWN)
     cells = cells.astype(np.uint8)

@@ -38,7 +38,6 @@ FLOOR_PLAN_SVG = "floorplan.svg"
 FLOOR_PLAN_DXF = "floorplan.dxf"
 OVERLAY = "overlay.png"
 SPOOL = "spool"
-ERROR_LOG = "error.txt"
 REPLACEMENT = ".replacement"
 """Within the folder of an earlier run: the run that takes its place when it is complete."""
 PROGRAM = "furniture-free-mapping"
@@ -78,7 +77,7 @@ def file_names() -> frozenset[str]:
     from ffmap.blueprints.entities import FURNITURE_FREE
 
     names = {RUN_JSON, RECORDING, EVALUATION, TRAJECTORY, CLOUD, LABELLED_BAG, LABELLED_FOLDER, LABELS, METRICS}
-    names |= {WALLS, DOORS, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY, SPOOL, ERROR_LOG}
+    names |= {WALLS, DOORS, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY, SPOOL}
     names |= {rooms_file(name) for name in Segmented}
     maps = {map_file(name) for name in (FURNITURE_FREE, *Rival)}
     return frozenset(names | maps | {str(Path(name).with_suffix(".pgm")) for name in maps})

@@ -70,14 +70,6 @@ def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
 
-def name_of(inputs: Inputs, sensor: Sensor, settings: Settings, clouds: Mapping[str, str]) -> str:
-    """What the cache calls the odometry of these clouds. clouds: the digest of all clouds of each topic, by topic."""
-    topics = [s.lidar.topic for s in _sensors(inputs, sensor, settings)]
-    return odometry_cache.entry_name(
-        cache_key(inputs, sensor, settings), total_digest({topic: clouds[topic] for topic in topics})
-    )
-
-
 class Odometry:
     """The registration of every usable horizontal scan in order, and after them the loops that were closed.
 
@@ -89,8 +81,7 @@ class Odometry:
         self.cache_warning: str | None = None
         """What went wrong with the cache; None where nothing did. Known once all has been iterated over."""
         cached = self._look_up(key, inputs, _sensors(inputs, sensor, settings))
-        self.from_cache = self.kept = cached is not None
-        """kept: whether it is in the cache now; known once all has been iterated over."""
+        self.from_cache = cached is not None
         self._source = cached if cached is not None else self._register_and_keep(key, inputs, sensor, settings)
         self._T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
         self._gap_ns = GAP_PERIODS * (sensor.index.period_ns or np.inf)
@@ -179,8 +170,7 @@ class Odometry:
                     case _Read():
                         writer.complete(total_digest(result.clouds))
                 yield result
-        self.kept = writer.failure is None
-        if not self.kept:
+        if writer.failure is not None:
             self.cache_warning = (
                 f"the odometry cannot be kept in the cache {odometry_cache.cache_folder()} ({writer.failure}); the next run "
                 f"computes it again, unless {odometry_cache.CACHE_VARIABLE} names a folder that can be written"

@@ -57,11 +57,6 @@ def entry_name(key: str, content: str) -> str:
     return f"{key}-{content}"
 
 
-def is_complete(entry: Path) -> bool:
-    """Whether an odometry was kept to its end; `look_up` tells whether it is sound."""
-    return (entry / _COMPLETE).exists()
-
-
 def entries() -> list[Entry]:
     """What the cache holds, last used first; empty where there is no cache."""
     folder = cache_folder()

@@ -53,6 +53,7 @@ from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothingSettings
 from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
 from ffmap.algorithms.scan.wall_planes import WallPlanesSettings
+from ffmap.app.folder.figures import dotted
 from ffmap.loaders.errors import InputError, shortened
 from ffmap.loaders.text_files import SETTINGS_LINE_MAX, read_toml
 
@@ -122,7 +123,7 @@ class Settings(StepSettings):
 
     def flat(self) -> dict[str, Any]:
         """Every setting by its dotted name."""
-        return dict(_flatten(self.model_dump(mode="json")))
+        return dotted(self.model_dump(mode="json"))
 
     def short_hash(self, *steps: str) -> str:
         """Eight hexadecimal digits that name these settings, or those of some steps."""
@@ -213,16 +214,6 @@ def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value
         return tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
         return text
-
-
-def _flatten(values: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    flat: list[tuple[str, Any]] = []
-    for name, value in values.items():
-        if isinstance(value, dict):
-            flat.extend(_flatten(value, f"{prefix}{name}."))
-        else:
-            flat.append((prefix + name, value))
-    return flat
 
 
 def as_toml(settings: Settings) -> str:
