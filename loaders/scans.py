@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import islice
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -135,12 +136,22 @@ class SkippedScan:
         return cls(index, stamp_ns, reason, "".join(traceback.format_exception(error)))
 
 
+_indices: WeakKeyDictionary[Bag, dict[str, CloudIndex]] = WeakKeyDictionary()
+"""Of each open bag, by topic: to read all headers of a large bag takes seconds, and several steps of opening it ask."""
+
+
 def index_clouds(bag: Bag, topic: str) -> CloudIndex:
-    """All clouds of a topic, from the headers and first points of its messages.
+    """All clouds of a topic, from the headers and first points of its messages, which are read once for an open bag.
 
     Raises InputError where it holds no clouds, and where two files of the bag hold clouds of the same time.
     """
-    found = bag.topic(topic)
+    known, found = _indices.setdefault(bag, {}), bag.topic(topic)
+    if found.name not in known:
+        known[found.name] = _index_clouds(bag, found)
+    return known[found.name]
+
+
+def _index_clouds(bag: Bag, found: Topic) -> CloudIndex:
     if found.msgtype not in CLOUD_TYPES:
         raise InputError(f"{bag.path.name}: topic {found.name} is {found.msgtype}, no point cloud; {cloud_hint(bag)}")
     bag.check_recorded_once(found.name)

@@ -52,6 +52,15 @@ def test_index_and_any_slice(tmp_path, name):
                 np.testing.assert_array_equal(scan.points_sensor, whole[i][1].points_sensor)
 
 
+def test_clouds_are_indexed_once_for_an_open_bag(tmp_path):
+    path = write_bag(tmp_path / "a.bag", clouds("/a", 10, ros_version=1), 50_000, "")
+    with open_bag(path) as bag, open_bag(path) as again:
+        index = index_clouds(bag, "/a")
+        assert index_clouds(bag, "a") is index
+        assert index_clouds(again, "/a") is not index
+        np.testing.assert_array_equal(index_clouds(again, "/a").stamp_ns, index.stamp_ns)
+
+
 @pytest.mark.parametrize(("stop_ns", "count"), [(0, 0), (35, 4), (40, 4), (1000, 10)])
 def test_the_first_part_of_an_index_holds_what_comes_before(tmp_path, stop_ns, count):
     path = write_bag(tmp_path / "a.bag", clouds("/a", 10, ros_version=1), 50_000, "")
