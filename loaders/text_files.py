@@ -6,7 +6,7 @@ What is no regular file is refused before it is opened: reading a pipe blocks, a
 import json
 import stat
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +85,17 @@ def read_object(path: Path, advice: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no names and values; {advice}")
     return content
+
+
+def dotted_keys(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested values by TOML's dotted keys, as --set takes those of settings."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= dotted_keys(value, f"{prefix}{name}.")
+        else:
+            flat[prefix + name] = value
+    return flat
 
 
 def _parsed(parse: Callable[[str], Any], path: Path, language: str, advice: str, bytes_max: int) -> Any:  # noqa: ANN401

@@ -36,14 +36,13 @@ from ffmap.algorithms.truth.runs import (
     transitions,
 )
 from ffmap.app.analysis.run_labels import LabelSource, pair, side_by_side
-from ffmap.app.folder.figures import dotted
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import DOORS, METRICS, TRAJECTORY, WALLS, map_file
 from ffmap.app.record.read_back import ReadableRecording, Row, rows
 from ffmap.blueprints import entities
 from ffmap.loaders.geojson import read_features, segments
-from ffmap.loaders.text_files import read_object
+from ffmap.loaders.text_files import dotted_keys, read_object
 from ffmap.loaders.trajectory_file import read_tum
 
 CUBE_M = 0.1
@@ -111,7 +110,7 @@ class Comparison:
 
 def differing_settings(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
     """The settings that are not the same in all runs, by their dotted names; None where a run has no such setting."""
-    return _differing([dotted(run.part("settings")) for run in runs])
+    return _differing([dotted_keys(run.part("settings")) for run in runs])
 
 
 def differing_provenance(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
@@ -123,7 +122,7 @@ def differing_provenance(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
                 "bag": str(run.bag_path) if run.bag_path else None,
                 "bag digest": run.part("bag").get("digest"),
                 "poses from": run.record.get("poses_from"),
-                **dotted(run.part("options"), "option "),
+                **dotted_keys(run.part("options"), "option "),
                 **{f"version of {k}": v for k, v in run.part("versions").items()},
             }
             for run in runs
@@ -139,9 +138,9 @@ def figures(runs: Sequence[FinishedRun]) -> dict[str, list[float | None]]:
         metrics = read_object(path, "run ffmap evaluate again") if path is not None else {}
         tables.append(
             {
-                **dotted({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
-                **dotted(run.part("counts"), "counts."),
-                **dotted(run.part("timings_s"), "seconds."),
+                **dotted_keys({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
+                **dotted_keys(run.part("counts"), "counts."),
+                **dotted_keys(run.part("timings_s"), "seconds."),
             }
         )
     rows = {name: list(map(_figure, values)) for name, values in _by_name(tables).items()}

@@ -17,7 +17,7 @@ from ffmap.app.folder import figures
 from ffmap.app.folder.names import METRICS, RUN_JSON, RunFolder
 from ffmap.app.tables import make_table
 from ffmap.loaders.errors import InputError, shortened
-from ffmap.loaders.text_files import read_object
+from ffmap.loaders.text_files import dotted_keys, read_object
 
 _DEPTH = 3
 """Levels of folders below the given one in which runs are found."""
@@ -110,7 +110,7 @@ def _read(folders: Sequence[Path]) -> Iterator[ListedRun]:
             typer.echo(f"not listed: {error}", err=True)
             continue
         parts = {name: part for name, part in record.items() if isinstance(part, Mapping)}
-        settings = figures.dotted(parts.get("settings", {}))
+        settings = dotted_keys(parts.get("settings", {}))
         details = {
             "bag": Path(str(parts.get("bag", {}).get("path", ""))).name,
             "git_revision": parts.get("versions", {}).get("git_revision"),

@@ -52,17 +52,6 @@ _LESS_IS_BETTER = re.compile(
 )
 
 
-def dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by their names with dots, as --set takes those of settings."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            flat |= dotted(value, f"{prefix}{name}.")
-        else:
-            flat[prefix + name] = value
-    return flat
-
-
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested values by the names of their columns; values that are None are left out."""
     flat: dict[str, Any] = {}

@@ -53,9 +53,8 @@ from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothingSettings
 from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
 from ffmap.algorithms.scan.wall_planes import WallPlanesSettings
-from ffmap.app.folder.figures import dotted
 from ffmap.loaders.errors import InputError, shortened
-from ffmap.loaders.text_files import SETTINGS_LINE_MAX, read_toml
+from ffmap.loaders.text_files import SETTINGS_LINE_MAX, dotted_keys, read_toml
 
 Steps = TypeVar("Steps", MethodSettings, FusionSettings, MapsSettings)
 
@@ -123,7 +122,7 @@ class Settings(StepSettings):
 
     def flat(self) -> dict[str, Any]:
         """Every setting by its dotted name."""
-        return dotted(self.model_dump(mode="json"))
+        return dotted_keys(self.model_dump(mode="json"))
 
     def short_hash(self, *steps: str) -> str:
         """Eight hexadecimal digits that name these settings, or those of some steps."""
