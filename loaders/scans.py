@@ -481,43 +481,6 @@ def _gathered(bag: Bag, index: CloudIndex, first: int, count: int | None) -> Ite
         yield i, group
 
 
-def read_clouds(
-    bag: Bag,
-    index: CloudIndex,
-    first: int,
-    count: int | None,
-    decoding: CloudDecoding,
-    digests: list[bytes] | None = None,
-) -> Iterator[tuple[int, Scan | SkippedScan, Message | None]]:
-    """Clouds [first, first + count): number in the bag, scan, and the PointCloud2 that it was made from.
-
-    The message is None only where it could not be read at all. A cloud without a valid point, one that contradicts
-    itself and one whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`.
-    """
-    for i, message in read_messages(bag, index, first, count, digests):
-        stamp = int(index.stamp_ns[i])
-        if isinstance(message, CloudError):
-            yield i, SkippedScan(i, stamp, str(message)), None
-            continue
-        if not index.usable[i]:
-            yield i, SkippedScan(i, int(index.stamp_ns[_right_beside(index, i)]), _stamp_reason(index, i)), message
-            continue
-        try:
-            scan = in_canonical_order(decode(message, decoding))
-        except CloudError as error:
-            yield i, SkippedScan(i, stamp, str(error)), message
-            continue
-        except Exception as error:
-            yield i, SkippedScan.failed(i, stamp, error), message
-            continue
-        if not scan.cloud_size:
-            yield i, SkippedScan(i, stamp, "no points"), message
-        elif not len(scan):
-            yield i, SkippedScan(i, stamp, "no valid point: all are NaN, infinite or zero"), message
-        else:
-            yield i, scan, message
-
-
 def read_scans(
     bag: Bag,
     index: CloudIndex,
@@ -526,9 +489,33 @@ def read_scans(
     decoding: CloudDecoding,
     digests: list[bytes] | None = None,
 ) -> Iterator[tuple[int, Scan | SkippedScan]]:
-    """Clouds [first, first + count) as scans with their number in the bag; see `read_clouds`."""
-    for i, scan, _ in read_clouds(bag, index, first, count, decoding, digests):
-        yield i, scan
+    """Clouds [first, first + count) as scans with their number in the bag.
+
+    A cloud that cannot be read, one without a valid point, one that contradicts
+    itself and one whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`.
+    """
+    for i, message in read_messages(bag, index, first, count, digests):
+        stamp = int(index.stamp_ns[i])
+        if isinstance(message, CloudError):
+            yield i, SkippedScan(i, stamp, str(message))
+            continue
+        if not index.usable[i]:
+            yield i, SkippedScan(i, int(index.stamp_ns[_right_beside(index, i)]), _stamp_reason(index, i))
+            continue
+        try:
+            scan = in_canonical_order(decode(message, decoding))
+        except CloudError as error:
+            yield i, SkippedScan(i, stamp, str(error))
+            continue
+        except Exception as error:
+            yield i, SkippedScan.failed(i, stamp, error)
+            continue
+        if not scan.cloud_size:
+            yield i, SkippedScan(i, stamp, "no points")
+        elif not len(scan):
+            yield i, SkippedScan(i, stamp, "no valid point: all are NaN, infinite or zero")
+        else:
+            yield i, scan
 
 
 def sample_messages(bag: Bag, index: CloudIndex, count: int) -> list[Message]:

@@ -21,7 +21,7 @@ TRANSITIONS = CLASSES**2
 class ScanChange:
     """One scan that both runs labelled.
 
-    counts: (7, 7) points of class i in the first run and j in the second; by the final labels where both runs have them.
+    counts: (7, 7) points of class i in the first run and j in the second; by the final labels.
     changed_scan: how many labels of the scan alone differ.
     """
 
@@ -61,12 +61,10 @@ class ChangedPoints:
 class LabelChange:
     """The labels of all scans.
 
-    final: whether the final labels were compared; else those of the scans alone, for a run did not come to its end.
     only_a, only_b: clouds that one run labelled and the other did not. unlike: clouds whose number of points differs.
     cubes: votes of the changed points for their transitions, by cubes of 10 cm.
     """
 
-    final: bool
     scans: tuple[ScanChange, ...]
     only_a: int
     only_b: int

@@ -35,10 +35,10 @@ from ffmap.algorithms.truth.runs import (
     match_planes,
     transitions,
 )
-from ffmap.app.analysis.run_labels import LabelSource, pair, side_by_side
+from ffmap.app.analysis.run_labels import has_points, labels_file, pair, read_run_labels, side_by_side
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.map_files import read_map
-from ffmap.app.folder.names import DOORS, METRICS, TRAJECTORY, WALLS, map_file
+from ffmap.app.folder.names import DOORS, LABELS, METRICS, TRAJECTORY, WALLS, map_file
 from ffmap.app.record.read_back import ReadableRecording, Row, rows
 from ffmap.blueprints import entities
 from ffmap.loaders.geojson import read_features, segments
@@ -55,18 +55,12 @@ _OTHER_BAG = "the runs are of different bags"
 class RunToCompare:
     """One of the runs, under the letter that it has in the comparison.
 
-    recording: None where it has none that can be read. labels_from: the file that its labels are read from; None where it
-    has none.
+    recording: None where it has none that can be read.
     """
 
     letter: str
     run: FinishedRun
     recording: ReadableRecording | None
-    labels_from: str | None
-
-    @property
-    def labels(self) -> LabelSource:
-        return LabelSource(self.run, self.recording)
 
     @property
     def title(self) -> str:
@@ -151,10 +145,9 @@ class LabelComparison:
     """The labels of two runs, scan by scan; iterate over it, then ask for `result`."""
 
     def __init__(self, a: RunToCompare, b: RunToCompare) -> None:
-        self._a, self._b = a.labels, b.labels
+        self._a, self._b = a.run, b.run
         # Where the points lie is asked of one run alone: their places cost more than their labels.
-        self._points_of_a = self._a.has_points
-        self._final = True
+        self._points_of_a = has_points(self._a)
         self._scans: list[ScanChange] = []
         self._only_a = self._only_b = self._unlike = 0
         self._cubes = VoxelTable(CUBE_M, TRANSITIONS)
@@ -162,10 +155,11 @@ class LabelComparison:
     def __iter__(self) -> Iterator[ChangedPoints]:
         """The changed points of every scan that both runs have; none changed: no points."""
         # A topic that one run alone labelled has nothing beside it.
-        common = common_topics(self._a.run, self._b.run)
+        common = common_topics(self._a, self._b)
+        points_of_b = not self._points_of_a and has_points(self._b)
         first, second = (
-            (cloud for cloud in source.read(with_points) if cloud.topic is None or cloud.topic in common)
-            for source, with_points in ((self._a, self._points_of_a), (self._b, not self._points_of_a))
+            (cloud for cloud in read_run_labels(run, with_points) if cloud.topic is None or cloud.topic in common)
+            for run, with_points in ((self._a, self._points_of_a), (self._b, points_of_b))
         )
         for a, b in pair(first, second):
             if a is None or b is None:
@@ -175,24 +169,20 @@ class LabelComparison:
             if len(a.label_scan) != len(b.label_scan):
                 self._unlike += 1
                 continue
-            label_a, label_b = a.label, b.label
-            if label_a is None or label_b is None:
-                self._final = False
-                label_a, label_b = a.label_scan, b.label_scan
             changed_scan = changed_of(transitions(a.label_scan, b.label_scan))
-            self._scans.append(ScanChange(a.scan, a.stamp_ns, transitions(label_a, label_b), changed_scan))
-            places = np.flatnonzero(label_a != label_b)
+            self._scans.append(ScanChange(a.scan, a.stamp_ns, transitions(a.label, b.label), changed_scan))
+            places = np.flatnonzero(a.label != b.label)
             points = a.points_map if a.points_map is not None else b.points_map
             at = points[places] if points is not None else np.full((len(places), 3), np.nan, np.float32)
             placed = np.isfinite(at).all(axis=1)
-            before, after = (classes_of(label[places[placed]]) for label in (label_a, label_b))
+            before, after = (classes_of(label[places[placed]]) for label in (a.label, b.label))
             changed = ChangedPoints(a.scan, a.stamp_ns, at[placed], before, after)
             self._cubes.add(changed.points_map, changed.transition)
             yield changed
 
     def result(self) -> LabelChange:
         counts = (self._only_a, self._only_b, self._unlike)
-        return LabelChange(self._final, tuple(self._scans), *counts, self._cubes.votes())
+        return LabelChange(tuple(self._scans), *counts, self._cubes.votes())
 
 
 def compare_files(change: PairChange) -> None:
@@ -230,13 +220,13 @@ def compare_files(change: PairChange) -> None:
 def labels_can_be_compared(change: PairChange) -> bool:
     """Whether both runs have labels of the same clouds; else `refused` says why not."""
     a, b = change.a, change.b
-    lacking = [run.letter for run in (a, b) if run.labels_from is None]
+    lacking = [run for run in (a, b) if labels_file(run.run) is None]
     if not change.same_bag:
         change.refused["labels"] = _OTHER_BAG
     elif a.run.topics and not common_topics(a.run, b.run):
         change.refused["labels"] = _what_was_labelled(change)
     elif lacking:
-        change.refused["labels"] = f"{' and '.join(lacking)} has neither a labelled bag nor scans in a recording"
+        change.refused["labels"] = _lacks(lacking, LABELS)
     return "labels" not in change.refused
 
 

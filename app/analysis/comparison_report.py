@@ -50,17 +50,16 @@ def summary(change: PairChange) -> list[tuple[str, str]]:
 
 def _labels_summary(change: PairChange, labels: LabelChange) -> list[tuple[str, str]]:
     """The labels that differ, and below them which became which, and in which scan they are most."""
-    kind = "labels changed" if labels.final else "labels of single scans changed (not both runs have final ones)"
-    rows = [(kind, f"{labels.changed:,} of {labels.points:,} ({_share(labels.changed, labels.points)})")]
+    changed = f"{labels.changed:,} of {labels.points:,} ({_share(labels.changed, labels.points)})"
+    rows = [("labels changed", changed)]
     total = labels.confusion
     for code in most_frequent([labels], _TRANSITIONS_SHOWN):
         rows.append((f"{_UNDER}{name_transition(code)}", f"{total.flat[code]:,}"))
     if (worst := labels.worst) is not None:
         most = f"{worst.changed:,} ({_share(worst.changed, worst.points)})"
         rows.append((f"{_UNDER}most of all in scan {worst.scan}", most))
-    if labels.final:
-        changed = f"{labels.changed_scan:,} ({_share(labels.changed_scan, labels.points)})"
-        rows.append(("labels of single scans changed", changed))
+    changed = f"{labels.changed_scan:,} ({_share(labels.changed_scan, labels.points)})"
+    rows.append(("labels of single scans changed", changed))
     rows.append(("scans compared", str(len(labels.scans))))
     left_out = {
         f"scans in {change.a.letter} alone": labels.only_a,
@@ -75,11 +74,11 @@ def _headline(change: PairChange) -> str:
     labels = change.labels
     if labels is None:
         return f"Labels cannot be compared: {change.refused.get('labels', 'none are there')}."
-    kind, worst = "labels" if labels.final else "labels of single scans", labels.worst
+    worst = labels.worst
     if worst is None:
-        return f"No {kind} differ, in {labels.points:,} points of {len(labels.scans)} scans."
+        return f"No labels differ, in {labels.points:,} points of {len(labels.scans)} scans."
     return (
-        f"{_share(labels.changed, labels.points)} of the {kind} changed ({labels.changed:,} points), most often "
+        f"{_share(labels.changed, labels.points)} of the labels changed ({labels.changed:,} points), most often "
         f"{name_transition(most_frequent([labels], 1)[0])}, and most in scan {worst.scan}."
     )
 
@@ -154,7 +153,6 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
                 "recording_id": run.run.record.get("recording_id"),
                 "bag": dict(run.run.part("bag")),
                 "versions": dict(run.run.part("versions")),
-                "labels_from": run.labels_from,
             }
             for run in comparison.runs
         ],
@@ -212,7 +210,6 @@ def _pair_json(change: PairChange) -> dict[str, Any]:
 def _labels_json(labels: LabelChange) -> dict[str, Any]:
     confusion, all_transitions = labels.confusion, most_frequent([labels], len(CLASS_NAMES) ** 2)
     return {
-        "final": labels.final,
         "points": labels.points,
         "changed": labels.changed,
         "changed_share": labels.changed / labels.points if labels.points else None,

@@ -16,13 +16,12 @@ from ffmap.algorithms.truth.doors import TrueDoors
 from ffmap.algorithms.truth.tally import Counter, Tally
 from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.run.workers import make_pool
-from ffmap.loaders.bag import Bag, Message, open_bag
+from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.pointcloud2 import describe_layout, field_column
 from ffmap.loaders.rig import Lidar
 from ffmap.loaders.scan_order import ScanOrder
-from ffmap.loaders.scans import CloudIndex, SkippedScan, read_clouds
+from ffmap.loaders.scans import CloudIndex, SkippedScan, read_scans
 from ffmap.loaders.truth import TruthClasses
 
 CLOUDS_A_SHARE = 100
@@ -35,13 +34,12 @@ _MARGIN_NS = 200_000_000
 class LabelledClouds:
     """Where a run's vertical clouds and their labels are read.
 
-    bag: the labelled bag, or the one that the run was made from. lidars: those that were labelled. labels: labels.parquet; None
-    where the clouds have them.
+    bag: the one that the run was made from. lidars: those that were labelled. labels: labels.parquet.
     """
 
     bag: BagPath
     lidars: tuple[Lidar, ...]
-    labels: Path | None = None
+    labels: Path
 
 
 @dataclass(frozen=True)
@@ -169,16 +167,15 @@ def _count_clouds(
     """log: called with each counted scan's number, stamp, truth and label."""
     counter = Counter(share.doors)
     without_truth = 0
-    lidars, labels = share.clouds.lidars, share.clouds.labels
-    stored = read_labels(labels, share.first, share.count) if labels is not None else None
+    lidars = share.clouds.lidars
+    stored = read_labels(share.clouds.labels, share.first, share.count)
 
-    def read(place: int, first: int, count: int) -> Iterator[tuple[int, tuple[Scan | SkippedScan, Message | None]]]:
-        clouds = read_clouds(bags.clouds[place], bags.indices[place], first, count, lidars[place].decoding)
-        return ((cloud, (scan, message)) for cloud, scan, message in clouds)
+    def read(place: int, first: int, count: int) -> Iterator[tuple[int, Scan | SkippedScan]]:
+        return read_scans(bags.clouds[place], bags.indices[place], first, count, lidars[place].decoding)
 
-    for number, place, (scan, message) in bags.scans.read(share.first, share.count, read):
+    for number, place, scan in bags.scans.read(share.first, share.count, read):
         lidar, truth_classes = lidars[place], bags.classes[place]
-        if isinstance(scan, SkippedScan) or message is None:
+        if isinstance(scan, SkippedScan):
             counter.skip()
             continue
         classes = None if truth_classes is None else truth_classes.at(scan.stamp_ns, scan.cloud_size)
@@ -190,13 +187,9 @@ def _count_clouds(
                 f"{share.truth_bag}: {len(classes)} true classes for a cloud of {scan.cloud_size} points; "
                 "give the bag that the run was made from as --truth"
             )
-        if stored is None:
-            layout = describe_layout(message, lidar.topic)
-            full = tuple(field_column(message, layout, name) for name in ("label", "label_scan"))
-        else:
-            # What was not labelled has no row.
-            full = stored.get(number) or (np.full(scan.cloud_size, NO_RETURN, np.uint8),) * 2
-        label, label_scan = (values[scan.cloud_index].astype(np.uint8) for values in full)
+        # What was not labelled has no row.
+        full = stored.get(number) or (np.full(scan.cloud_size, NO_RETURN, np.uint8),) * 2
+        label, label_scan = (values[scan.cloud_index] for values in full)
         truth = classes[scan.cloud_index]
         # As measured, at the true poses: where a return is counted does not depend on what was made of it.
         placed = place_scan(scan, share.trajectory, lidar.T_base_sensor)

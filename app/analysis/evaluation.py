@@ -57,7 +57,6 @@ from ffmap.algorithms.truth.tally import CUBE_M, Tally, confusion_by_area
 from ffmap.app.analysis import map_figures
 from ffmap.app.analysis.counting import LabelledClouds, Layer, count_run
 from ffmap.app.analysis.metrics_tables import Metrics, format_metrics
-from ffmap.app.analysis.run_labels import labelled_lidars
 from ffmap.app.folder import names as run_names
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.finished_run import FinishedRun
@@ -271,8 +270,8 @@ def _missing(run: FinishedRun, truth: BagTruth) -> Iterator[str]:
         yield f"trajectory: {_lacks(run, run_names.TRAJECTORY, None)}"
     if not truth.classes:
         yield f"labels, doors and maps: the truth has no {CLASSES_TOPIC}"
-    elif run.labelled is None and run.file(run_names.LABELS) is None:
-        yield f"labels, doors and maps: {_lacks(run, 'labelled clouds', 'labelled')}"
+    elif run.file(run_names.LABELS) is None:
+        yield f"labels, doors and maps: {_lacks(run, run_names.LABELS, 'labels')}"
     if truth.building is None:
         yield f"doors, maps and rooms: the truth has no {BUILDING_TOPIC}"
         return
@@ -294,10 +293,7 @@ def _lacks(run: FinishedRun, name: str, output: str | None) -> str:
 
 
 def _clouds_of(run: FinishedRun) -> LabelledClouds | None:
-    """The labelled bag, or the labels beside the run's own bag; None where the run kept neither."""
-    if run.labelled is not None:
-        with open_bag(run.labelled) as bag:
-            return LabelledClouds(BagPath((run.labelled,)), labelled_lidars(bag, run))
+    """The run's labels beside its bag's clouds; None where it kept none."""
     labels = run.file(run_names.LABELS)
     if labels is None:
         return None

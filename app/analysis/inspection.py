@@ -1,21 +1,20 @@
 """One scan of a finished run, labelled again with all evidence, and what is wrong with its labels."""
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
-from ffmap.algorithms.base.labels import Verdict
+from ffmap.algorithms.base.labels import NO_RETURN, Verdict
 from ffmap.algorithms.base.scan import BoolArray, Scan, UInt8Array, within_range
 from ffmap.algorithms.building.label_reasons import REASONS
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.algorithms.scan.smoothing import smooth_ranges
-from ffmap.app.analysis.run_labels import CloudLabels, LabelSource
+from ffmap.app.analysis.run_labels import labels_file, read_run_labels
 from ffmap.app.folder.finished_run import FinishedRun
-from ffmap.app.folder.names import EVALUATION
+from ffmap.app.folder.labels_file import read_labels
+from ffmap.app.folder.names import EVALUATION, LABELS
 from ffmap.app.record.errors import VERDICT_COLORS
 from ffmap.app.record.inspection import ScanFaults
 from ffmap.app.record.line_reasons import name_of
@@ -38,9 +37,8 @@ class InspectedScan:
     """A scan of a run, labelled again by the functions and settings of the run.
 
     lidar: which of several it is from, in a sentence; None where there is one. labelling: with all evidence. differing: how many
-    returns the run itself had labelled otherwise; None where its files do not tell. compared_with: the file that told. faults:
-    what is wrong with its final labels; None where they do not tell. changes: why the building changed labels, most first; none
-    where no recording tells.
+    returns the run itself had labelled otherwise; None where its labels do not tell. faults: what is wrong with its final labels;
+    None where they do not tell. changes: why the building changed labels, most first; none where no recording tells.
     """
 
     index: int
@@ -49,7 +47,6 @@ class InspectedScan:
     level: LevelledScan
     labelling: ScanLabelling
     differing: int | None
-    compared_with: str | None
     faults: ScanFaults | None
     changes: tuple["LabelChange", ...]
 
@@ -119,14 +116,13 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     except Exception as error:
         reason = SkippedScan.failed(number, scan.stamp_ns, error).reason
         raise InputError(f"--scan {number}: was skipped ({reason}); give another scan") from error
-    recorded, file = _recorded_labels(run, number, vertical.lidar.topic, scan.stamp_ns)
-    differing = None if recorded is None else _differing(recorded, scan, labelling.label)
-    final, wrong = _final(recorded, scan), _wrong(run, number, len(scan))
+    final, differing = _compare_recorded(run, number, scan, labelling.label)
+    wrong = _wrong(run, number, len(scan))
     faults = None if final is None else _find_faults(final == labelling.label, wrong)
     wrong_changed = None if final is None or wrong is None else wrong[final != labelling.label]
     several = len(inputs.verticals) > 1
     lidar = f"Scan {number} is cloud {cloud} of {vertical.lidar.topic}." if several else None
-    return InspectedScan(number, lidar, scan, level, labelling, differing, file, faults, _changes(run, number, wrong_changed))
+    return InspectedScan(number, lidar, scan, level, labelling, differing, faults, _changes(run, number, wrong_changed))
 
 
 def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
@@ -140,29 +136,22 @@ def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
         raise InputError(f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
 
 
-@contextmanager
-def _labels_of(run: FinishedRun) -> Iterator[LabelSource]:
-    """Where the run's labels are read; the recording is opened where no labelled bag has them."""
-    with ExitStack() as stack:
-        in_recording = run.recording if run.labelled is None else None
-        yield LabelSource(run, stack.enter_context(readable(in_recording)) if in_recording is not None else None)
+def _compare_recorded(
+    run: FinishedRun, number: int, scan: Scan, label: UInt8Array
+) -> tuple[UInt8Array | None, int | None]:
+    """(n,) the run's final label of each return, and how many it had labelled otherwise by the scan alone.
 
-
-def _recorded_labels(
-    run: FinishedRun, number: int, topic: str, stamp_ns: int
-) -> tuple[CloudLabels | None, str | None]:
-    """What the run's files say of one cloud, and which file did; None where none does."""
-    with _labels_of(run) as source:
-        clouds = (cloud for cloud in source.read(first=number) if cloud.topic in (topic, None))
-        return next((cloud for cloud in clouds if cloud.stamp_ns == stamp_ns), None), source.file
-
-
-def _differing(recorded: CloudLabels, scan: Scan, label: UInt8Array) -> int:
-    """How many returns the run had labelled otherwise."""
-    own = full_labels(scan.cloud_size, scan.cloud_index, label) if recorded.every_place else label
-    if len(own) != len(recorded.label_scan):
-        return max(len(own), len(recorded.label_scan))
-    return int(np.count_nonzero(own != recorded.label_scan))
+    Both None where the run has no labels of this scan.
+    """
+    path = labels_file(run)
+    recorded = read_labels(path, number, 1).get(number) if path is not None else None
+    if recorded is None:
+        return None, None
+    final, label_scan = recorded
+    own = full_labels(scan.cloud_size, scan.cloud_index, label)
+    if len(own) != len(label_scan):
+        return None, max(len(own), len(label_scan))
+    return final[scan.cloud_index], int(np.count_nonzero(own != label_scan))
 
 
 def find_worst(run: FinishedRun) -> tuple[int, str]:
@@ -178,10 +167,10 @@ def find_worst(run: FinishedRun) -> tuple[int, str]:
                 percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
     why = "of its points have a wrong final label (`label`), by the truth"
     if not percent:
-        with _labels_of(run) as source:
-            for cloud in (cloud.of_returns() for cloud in source.read()):
-                if cloud.label is not None and len(cloud.label):
-                    percent[cloud.scan] = 100 * float(np.mean(cloud.label != cloud.label_scan))
+        for cloud in read_run_labels(run):
+            own = cloud.label_scan != NO_RETURN
+            if own.any():
+                percent[cloud.scan] = 100 * float(np.mean((cloud.label != cloud.label_scan)[own]))
         why = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
     if not percent:
         raise InputError(f"{run.path}: holds no labels of single scans to find the worst by; name one, as in --scan 17")
@@ -195,10 +184,10 @@ def agreement(run: FinishedRun, inspected: InspectedScan) -> str:
     if inspected.differing is None:
         return f"Labelled again; {run.name} holds no labels of this scan to compare with."
     if not inspected.differing:
-        return f"Labelled again: all {total:,} labels equal label_scan in {inspected.compared_with}."
+        return f"Labelled again: all {total:,} labels equal label_scan in {LABELS}."
     made, now = run.part("versions").get("git_revision") or "unknown", git_revision() or "unknown"
     return (
-        f"**Labelled again, {inspected.differing:,} of {total:,} labels are not those of {inspected.compared_with}:** what "
+        f"**Labelled again, {inspected.differing:,} of {total:,} labels are not those of {LABELS}:** what "
         f"follows tells of this program (revision {now}), not of the run's (revision {made})."
     )
 
@@ -244,14 +233,6 @@ def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> tuple[La
             )
         )
     return tuple(changes)
-
-
-def _final(recorded: CloudLabels | None, scan: Scan) -> UInt8Array | None:
-    """(n,) the final label of each return; None where the run has none."""
-    if recorded is None or recorded.label is None:
-        return None
-    label = recorded.label[scan.cloud_index] if recorded.every_place else recorded.label
-    return label if len(label) == len(scan) else None
 
 
 def _wrong(run: FinishedRun, number: int, count: int) -> BoolArray | None:

@@ -25,7 +25,6 @@ from ffmap.app.analysis.comparison import (
     grid_of,
     labels_can_be_compared,
 )
-from ffmap.app.analysis.run_labels import LabelSource
 from ffmap.app.commands.inspect import open_viewer
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.finished_run import FinishedRun, open_run
@@ -97,7 +96,7 @@ def _target(runs: Sequence[FinishedRun], out: Path | None) -> Path:
 
 
 def _readable(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[str]) -> RunToCompare:
-    """The run with its recording, if it has one that can be read, and with what has its labels."""
+    """The run with its recording, if it has one that can be read."""
     if not run.complete:
         unfinished = _UNFINISHED.get(run.outcome, _UNKNOWN).format(run.path)
         warnings.append(f"{letter}, {run.name}: {unfinished}; what it has is compared")
@@ -111,9 +110,7 @@ def _readable(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[st
             warnings.append(f"{letter}: {error}")
     if recording is not None and recording.warning is not None:
         warnings.append(f"{letter}: {recording.warning}")
-    source = LabelSource(run, recording)
-    # A recording of the map alone has no labels.
-    return RunToCompare(letter, run, recording, source.file if next(source.read(), None) is not None else None)
+    return RunToCompare(letter, run, recording)
 
 
 @dataclass(frozen=True)
@@ -231,8 +228,8 @@ def _print(comparison: Comparison) -> None:
     rows: list[list[str]] = []
     for run in comparison.runs:
         bag = run.run.bag_path
-        rows.append([run.letter, str(run.run.path), run.run.outcome, run.labels_from or "–", bag.name if bag else "–"])
-    console.print(make_table("Runs", ("", "folder", "outcome", "labels from", "bag"), rows, left=range(5)))
+        rows.append([run.letter, str(run.run.path), run.run.outcome, bag.name if bag else "–"])
+    console.print(make_table("Runs", ("", "folder", "outcome", "bag"), rows, left=range(4)))
     if comparison.settings:
         rows = [[name, *map(report.text_of, values)] for name, values in comparison.settings.items()]
         headings = ("setting", *letters)

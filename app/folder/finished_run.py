@@ -10,8 +10,6 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.app.folder.names import (
-    LABELLED_BAG,
-    LABELLED_FOLDER,
     RECORDING,
     RUN_JSON,
     TRAJECTORY,
@@ -71,12 +69,6 @@ class FinishedRun:
             wrong = f"map_origin is {origin!r}, not x, y and z in metres"
             raise InputError(f"{self.path / RUN_JSON}: {wrong}; run ffmap again")
         return np.array(origin, float)
-
-    @cached_property
-    def labelled(self) -> Path | None:
-        """The labelled bag."""
-        bag, folder = self.path / LABELLED_BAG, self.path / LABELLED_FOLDER
-        return bag if bag.exists() else folder if (folder / "metadata.yaml").exists() else None
 
     @cached_property
     def recording(self) -> Path | None:

@@ -25,7 +25,7 @@ class Output(StrEnum):
     LABELLED = "labelled"
     """labelled.bag or labelled/: every vertical cloud again, with its labels."""
     LABELS = "labels"
-    """labels.parquet: the labels alone, a hundredth of the labelled bag."""
+    """labels.parquet: the labels alone, a hundredth of the labelled bag; what compare, inspect and evaluate read."""
     CLOUD = "cloud"
     """cloud.ply."""
     MAPS = "maps"
@@ -36,7 +36,7 @@ class Output(StrEnum):
     """walls.geojson, doors.geojson, rooms.geojson, and rooms_NAME.geojson of the maps that the paper compares with."""
 
 
-RUN_OUTPUTS = (Output.RECORDING, Output.LABELLED, Output.CLOUD, Output.MAPS, Output.PLAN, Output.GEOJSON)
+RUN_OUTPUTS = tuple(Output)
 """What a single run writes."""
 SWEEP_OUTPUTS = (Output.RECORDING, Output.LABELS, Output.MAPS, Output.GEOJSON)
 """What each run of a sweep writes: all that its figures are made from, and no cloud."""

@@ -21,7 +21,7 @@ from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.info import describe_bag
 from ffmap.loaders.rig_file import read_rig_file
-from ffmap.loaders.scans import read_clouds
+from ffmap.loaders.scans import read_scans
 from ffmap.loaders.trajectory_file import read_pose_topic, read_tum, write_tum
 from ffmap.loaders.truth import BUILDING_TOPIC, read_truth
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, header, sweep, tf_message, write_bag
@@ -51,7 +51,7 @@ def _read_all(inputs: Inputs) -> None:
     with open_bag(inputs.bag_path) as bag:
         for sensor in (inputs.horizontal, *inputs.verticals):
             if sensor is not None:
-                for _ in read_clouds(bag, sensor.index, 0, None, sensor.lidar.decoding):
+                for _ in read_scans(bag, sensor.index, 0, None, sensor.lidar.decoding):
                     pass
 
 

@@ -10,7 +10,7 @@ from ffmap.algorithms.base.scan import Scan
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.livox import livox_message
 from ffmap.loaders.rig import find_rig
-from ffmap.loaders.scans import SkippedScan, index_clouds, read_clouds
+from ffmap.loaders.scans import SkippedScan, index_clouds, read_messages, read_scans
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, header, write_bag
 
 POINTS = 3000
@@ -64,9 +64,11 @@ def test_points_times_and_lines_are_recovered(tmp_path: Path, name: str, driver:
         assert (lidar.frame_id, lidar.ring_count) == (frame, LINES)
         assert lidar.decoding.time is not None
         assert (lidar.decoding.time.name, lidar.decoding.time.unit) == ("offset_time", "ns")
-        read = list(read_clouds(bag, index_clouds(bag, "/livox/lidar"), 0, None, lidar.decoding))
+        index = index_clouds(bag, "/livox/lidar")
+        read = list(read_scans(bag, index, 0, None, lidar.decoding))
+        messages = list(read_messages(bag, index, 0))
     assert len(read) == 3
-    for i, scan, made in read:
+    for (i, scan), (_, made) in zip(read, messages, strict=True):
         assert isinstance(scan, Scan)
         known = points(i)[np.asarray(scan.cloud_index)]
         assert len(scan) == POINTS
@@ -89,7 +91,7 @@ def test_a_message_that_holds_fewer_points_than_it_says_is_skipped(tmp_path: Pat
     path.write_bytes(raw.replace(whole, whole[:count_at] + (POINTS + 5).to_bytes(4, "little") + whole[count_at + 4 :]))
     with open_bag(path) as bag:
         decoding = find_rig(bag).horizontal.decoding  # type: ignore[union-attr]
-        read = [scan for _, scan, _ in read_clouds(bag, index_clouds(bag, "/livox/lidar"), 0, None, decoding)]
+        read = [scan for _, scan in read_scans(bag, index_clouds(bag, "/livox/lidar"), 0, None, decoding)]
     assert [isinstance(scan, SkippedScan) for scan in read] == [False, True, False]
     assert f"says that it has {POINTS + 5} points and holds fewer" in read[1].reason  # type: ignore[union-attr]
 

@@ -15,7 +15,7 @@ from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.info import describe_bag
 from ffmap.loaders.rig import find_rig
-from ffmap.loaders.scans import index_clouds, read_clouds, read_messages
+from ffmap.loaders.scans import index_clouds, read_messages, read_scans
 from tests.loaders.bag_builder import START_NS, Entry, clouds, tf_message, write_bag
 from tests.ouster_packets import (
     COLUMN_NS,
@@ -56,7 +56,7 @@ def entries_of(made: Sequence[Revolution], told: str, ros_version: int = 1) -> l
 def read(path: Path) -> list[Scan]:
     with open_bag(path) as bag:
         lidar = find_rig(bag).horizontal
-        return [scan for _, scan, _ in read_clouds(bag, lidar.index(bag), 0, None, lidar.decoding)]
+        return [scan for _, scan in read_scans(bag, lidar.index(bag), 0, None, lidar.decoding)]
 
 
 def assert_same(scan: Scan, turn: Revolution) -> None:

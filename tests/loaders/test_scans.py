@@ -11,7 +11,6 @@ from ffmap.loaders.scans import (
     SkippedScan,
     clock_problem,
     index_clouds,
-    read_clouds,
     read_digests,
     read_scans,
     sample_messages,
@@ -187,15 +186,6 @@ def test_a_pause_ends_a_revolution(tmp_path):
         entries.append(("/a", stamp_ns, cloud(points[i % 75], stamp_ns)))
     with open_bag(write_bag(tmp_path / "a.bag", entries)) as bag:
         assert 110 in np.cumsum(index_clouds(bag, "/a").message_count)
-
-
-def test_clouds_and_their_messages_come_together(tmp_path):
-    with open_bag(write_bag(tmp_path / "a_mcap", clouds("/a", 3, ros_version=2))) as bag:
-        index = index_clouds(bag, "/a")
-        decoding = settle_decoding(sample_messages(bag, index, 2), "/a")
-        for i, scan, message in read_clouds(bag, index, 0, None, decoding):
-            assert message.width == scan.cloud_size
-            assert message.header.stamp.nanosec == index.stamp_ns[i] % 10**9
 
 
 def test_a_topic_without_clouds(tmp_path):

@@ -1,4 +1,4 @@
-"""Clouds of two runs meet by their stamps, and their points by their place."""
+"""Clouds of two runs meet by their stamps."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,9 @@ from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.app.analysis.run_labels import CloudLabels, pair
 
 
-def cloud(stamp_ns: int, every_place: bool = True, topic: str = "/a") -> CloudLabels:
+def cloud(stamp_ns: int, topic: str = "/a") -> CloudLabels:
     label = np.array([1, NO_RETURN, 3, 4, NO_RETURN, 0], np.uint8)
-    if not every_place:
-        label = label[label != NO_RETURN]
-    points = np.arange(3.0 * len(label)).reshape(-1, 3)
-    return CloudLabels(stamp_ns // 100, topic, stamp_ns, label, label, points, every_place)
+    return CloudLabels(stamp_ns // 100, topic, stamp_ns, label, label, None)
 
 
 @pytest.mark.parametrize(
@@ -39,16 +36,3 @@ def test_of_two_lidars_that_fire_together_each_meets_its_own() -> None:
     found = list(pair(iter(both), iter([cloud(100, topic="/b"), cloud(200, topic="/b"), cloud(300, topic="/b")])))
     told = [(a.topic if a else None, b.topic if b else None) for a, b in found]
     assert told == [("/a", None), ("/b", "/b"), ("/a", None), ("/b", "/b"), (None, "/b")]
-
-
-def test_a_recordings_rows_are_the_labelled_bags_without_its_empty_places() -> None:
-    ((a, b),) = pair(iter([cloud(100)]), iter([cloud(100, every_place=False)]))
-    assert a is not None
-    assert b is not None
-    assert a.label_scan.tolist() == b.label_scan.tolist() == [1, 3, 4, 0]
-    assert a.points_map is not None
-    assert a.points_map[:, 0].tolist() == [0.0, 6.0, 9.0, 15.0]
-    # Where both have every place, nothing is left out.
-    ((a, b),) = pair(iter([cloud(100)]), iter([cloud(100)]))
-    assert a is not None
-    assert len(a.label_scan) == 6

@@ -11,23 +11,22 @@ from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
+from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.truth.runs import CLASSES, classes_of
 from ffmap.app.analysis import inspection
 from ffmap.app.analysis.comparison_report import difference_of
-from ffmap.app.analysis.run_labels import LabelSource, pair
+from ffmap.app.analysis.run_labels import read_run_labels
 from ffmap.app.commands import compare as compare_command
 from ffmap.app.commands import inspect as inspect_command
 from ffmap.app.folder.finished_run import open_run
-from ffmap.app.folder.names import LABELS, held, is_held
-from ffmap.app.record.read_back import readable, rows
+from ffmap.app.folder.names import held, is_held
+from ffmap.app.record.read_back import rows
 from ffmap.app.record.stream import whole_messages
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
@@ -117,7 +116,6 @@ def recorded(out: Path, entity: str) -> dict[int, dict[str, Any]]:
 def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str, Path]) -> None:
     a, b = labels_of(runs["usual"]), labels_of(runs["other"])
     found = report(compared)["comparisons"][0]["labels"]
-    assert found["final"]
     changed_points = recorded(compared, entities.CHANGED_POINTS.format("B"))
     confusion = np.zeros((CLASSES, CLASSES), int)
     changed = changed_scan = 0
@@ -194,25 +192,26 @@ def test_a_run_that_was_killed_is_told_from_one_that_goes_on(runs: dict[str, Pat
 
 def test_changed_points_lie_where_the_runs_saw_them(compared: Path, runs: dict[str, Path]) -> None:
     changed = recorded(compared, entities.CHANGED_POINTS.format("B"))
-    source = LabelSource(open_run(runs["usual"]), None)
-    usual = {cloud.scan: cloud for cloud in source.read(with_points=True)}
+    usual = {cloud.scan: cloud for cloud in read_run_labels(open_run(runs["usual"]), with_points=True)}
     b = labels_of(runs["other"])
     for scan, stamp in enumerate(sorted(b)):
         cloud = usual[scan]
-        assert cloud.label is not None
         assert cloud.points_map is not None
         np.testing.assert_allclose(changed[scan]["positions"], cloud.points_map[b[stamp][0] != cloud.label], atol=1e-5)
 
 
-def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path], tmp_path: Path) -> None:
+def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path]) -> None:
     """But for tenths of a degree by which the recording's scans are turned to the floor."""
-    alone = Path(shutil.copytree(runs["usual"], tmp_path / "alone", ignore=shutil.ignore_patterns("labelled*")))
-    with readable(alone / "recording.rrd") as recording:
-        seen = {c.scan: c.points_map for c in LabelSource(open_run(alone), recording).read(with_points=True)}
+    recording = runs["usual"] / "recording.rrd"
+    poses = {row.scan: row.values for row in rows(recording, entities.SCAN, "translation")}
+    seen = {}
+    for row in rows(recording, entities.POINTS, entities.POINT_LABEL_SCAN):
+        T = transforms.from_quaternion(poses[row.scan]["translation"][0], poses[row.scan]["quaternion"][0])
+        seen[row.scan] = transforms.apply(T, row.values["positions"].astype(np.float64))
     off_m = []
-    for cloud in LabelSource(open_run(runs["usual"]), None).read(with_points=True):
-        own = cloud.of_returns().points_map
-        assert own is not None
+    for cloud in read_run_labels(open_run(runs["usual"]), with_points=True):
+        assert cloud.points_map is not None
+        own = cloud.points_map[cloud.label_scan != NO_RETURN]
         off_m.append(np.linalg.norm(own - seen[cloud.scan], axis=1))
     assert np.median(np.concatenate(off_m)) < 0.006
     assert np.quantile(np.concatenate(off_m), 0.95) < 0.02
@@ -316,42 +315,26 @@ def test_poses_that_differ_are_told_and_labels_compared_all_the_same(
         np.testing.assert_array_equal(mine[scan]["positions"], usual[scan]["positions"])
 
 
-def test_whichever_file_has_the_labels_they_are_the_same(runs: dict[str, Path], tmp_path: Path) -> None:
-    """From the recording alone, and from labels.parquet, as from the labelled bag."""
-    bag = LabelSource(open_run(runs["other"]), None)
-    without_bag = tmp_path / "recording"
-    without_bag.mkdir()
-    for name in ("run.json", "recording.rrd", "trajectory.tum"):
-        shutil.copy(runs["other"] / name, without_bag)
-    alone = tmp_path / "alone"
-    alone.mkdir()
-    for name in ("run.json", "trajectory.tum"):
-        shutil.copy(runs["other"] / name, alone)
-    kept = sorted(labels_of(runs["other"]).items())
-    columns = {
-        "scan": pa.array(range(SCANS), pa.int32()),
-        "label": pa.array([label for _, (label, _) in kept], pa.list_(pa.uint8())),
-        "label_scan": pa.array([label_scan for _, (_, label_scan) in kept], pa.list_(pa.uint8())),
-    }
-    pq.write_table(pa.table(columns), alone / LABELS)
-    with readable(without_bag / "recording.rrd") as recording:
-        for source in (LabelSource(open_run(without_bag), recording), LabelSource(open_run(alone), None)):
-            clouds = 0
-            for a, b in pair(bag.read(with_points=True), source.read(with_points=True)):
-                clouds += 1
-                assert a is not None
-                assert b is not None
-                np.testing.assert_array_equal(a.label, b.label)
-                np.testing.assert_array_equal(a.label_scan, b.label_scan)
-                assert a.points_map is not None
-                assert b.points_map is not None
-                # A recording's points are rounded, and levelled by the scan's own floor.
-                returned = np.isfinite(a.points_map).all(axis=1)
-                assert np.linalg.norm((a.points_map - b.points_map)[returned], axis=1).max() < 0.2
-            assert clouds == SCANS
-    # A scan that is labelled again is compared with them, too.
-    again = inspection.label_again(open_run(alone), 3)
-    assert (again.differing, again.compared_with) == (0, LABELS)
+def test_the_file_of_the_labels_has_what_the_labelled_bag_has(runs: dict[str, Path], tmp_path: Path) -> None:
+    bag = labels_of(runs["other"])
+    clouds = list(read_run_labels(open_run(runs["other"])))
+    assert [cloud.scan for cloud in clouds] == list(range(SCANS))
+    for cloud in clouds:
+        np.testing.assert_array_equal(cloud.label, bag[cloud.stamp_ns][0])
+        np.testing.assert_array_equal(cloud.label_scan, bag[cloud.stamp_ns][1])
+
+
+def test_points_of_another_bag_are_not_taken_for_the_runs(runs: dict[str, Path], tmp_path: Path) -> None:
+    """Such as one of the same name, recorded later with another lidar."""
+    other = tmp_path / "drive.bag"
+    values = {"building": "small", "seed": 3, "sensor": "hdl32e", "format": "bag", "duration_s": 3.0}
+    simulate(other, SimulationSettings.model_validate(values))
+    run = Path(shutil.copytree(runs["usual"], tmp_path / "run"))
+    record = json.loads((run / "run.json").read_text())
+    record["bag"]["path"] = str(other)
+    (run / "run.json").write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"drive.bag: is not the bag that .* was made from"):
+        list(read_run_labels(open_run(run), with_points=True))
 
 
 def test_a_scan_that_fails_is_named_with_its_reason(runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -369,15 +352,9 @@ def test_what_a_run_lacks_is_said_and_the_rest_compared(runs: dict[str, Path], t
     found = compare(tmp_path / "out1", runs["usual"], cut)
     assert any("was cut" in warning for warning in found["warnings"])
     change = found["comparisons"][0]
-    # Of a recording that was cut it is not known which final labels are missing.
-    assert not change["labels"]["final"]
-    assert 0 < len(change["labels"]["scans"]) <= SCANS
-    assert set(change["not_compared"]) == {"trajectory", "walls", "doors", "grid"}
+    assert change["planes"]["lost"] + change["planes"]["gained"] > 0
+    assert set(change["not_compared"]) == {"labels", "trajectory", "walls", "doors", "grid"}
     assert all("B has no" in why for why in change["not_compared"].values())
-    a, b = labels_of(runs["usual"]), labels_of(runs["other"])
-    for row in change["labels"]["scans"]:
-        stamp = row["stamp_ns"]
-        assert row["changed"] == np.count_nonzero(a[stamp][1] != b[stamp][1])
 
     bare = tmp_path / "bare"
     bare.mkdir()
@@ -428,7 +405,7 @@ def test_a_scan_is_labelled_again_bit_for_bit(
     done = ffmap(environment, "inspect", runs["other"], "--scan", "worst", "--line", "3", "--out", out)
     assert done.returncode == 0, done.stderr
     assert "have a wrong final label (label), by the truth" in done.stdout
-    assert "equal label_scan in labelled.bag" in done.stdout
+    assert "equal label_scan in labels.parquet" in done.stdout
     for number in (0, 17, SCANS - 1):
         found = inspection.label_again(open_run(runs["other"]), number)
         assert found.differing == 0
@@ -459,7 +436,7 @@ def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(runs: di
     assert worst == max(wrong, key=wrong.__getitem__)
     without_truth = tmp_path / "run"
     without_truth.mkdir()
-    for name in ("run.json", "labelled.bag"):
+    for name in ("run.json", "labels.parquet", "trajectory.tum"):
         shutil.copy(run / name, without_truth)
     relabelled = [
         np.count_nonzero(label != label_scan) / np.count_nonzero(label != NO_RETURN)
@@ -509,7 +486,7 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     # Without truth, what the building changed; a line that is asked for comes before the worst.
     without_truth = tmp_path / "run"
     without_truth.mkdir()
-    for name in ("run.json", "labelled.bag", "trajectory.tum"):
+    for name in ("run.json", "labels.parquet", "trajectory.tum"):
         shutil.copy(run / name, without_truth)
     inspect_command.inspect(without_truth, str(scan), 3, None, tmp_path / "numbered.rrd", spawn=False)
     faults, opened = written.call_args.args[2].faults, written.call_args.args[2].line

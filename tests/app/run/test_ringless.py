@@ -17,7 +17,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     simulate(folder / "bag", settings)
     done = ffmap_here(
-        with_cache(folder / "cache"), "run", folder / "bag", "--out", folder / "run", "--outputs", "recording,labelled"
+        with_cache(folder / "cache"), "run", folder / "bag", "--out", folder / "run", "--outputs", "recording,labels"
     )
     assert done.returncode == 0, done.stderr
     return folder / "run"

@@ -126,7 +126,6 @@ def test_killed_and_resumed_with_one_worker_it_has_the_same_labels(folder: Path)
     assert done.returncode == 0, done.stderr
     for what in ("labels_digest", "bag"):
         assert record_of(out)[what] == record_of(folder / "run")[what]
-    # From labels.parquet as from the labelled bag.
     evaluate_run(open_run(out), None, 1)
     whole, resumed = (json.loads((run / "metrics.json").read_text()) for run in (folder / "run", out))
     for what in ("area", "area_scan", "points", "scans"):
@@ -148,7 +147,7 @@ def test_a_scan_is_labelled_again_bit_for_bit(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
     topic = inputs.verticals[inputs.scans.lidar[scan]].lidar.topic
     assert f"Scan {scan} is cloud {inputs.scans.cloud[scan]} of {topic}." in done.stdout
-    assert "labels equal label_scan in labelled." in done.stdout
+    assert "labels equal label_scan in labels.parquet" in done.stdout
 
 
 def test_only_the_mount_that_is_off_is_refined(folder: Path) -> None:
