@@ -7,6 +7,15 @@ from scipy.ndimage import binary_erosion
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, RearrangementSettings, refine_plane
 
+_HEIGHT_MAX_M = 50.0
+"""Maximum height in metres above the floor of a ceiling; a damaged return may be higher."""
+_FURTHER_SHARE_MIN = 0.004
+"""Minimum share of the scan's returns on a further ceiling, seen through a door. III.A."""
+_HYPOTHESES = 500
+"""Number of RANSAC hypotheses for each ceiling. III.A."""
+_CEILINGS_MAX = 3
+"""Maximum number of ceilings in a scan; rooms seen through doors have their own. III.A."""
+
 
 def find_ceilings(
     points_level: FloatArray, height_m: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
@@ -19,9 +28,7 @@ def find_ceilings(
     points_level: (n, 3); height_m: (n,) of these above the floor; seed: of the hypotheses.
     """
     # 8000 returns find a plane and place it to a millimetre.
-    points, stride = _thinned(
-        points_level, height_m, settings.ceiling_height_min_m, settings.ceiling_height_max_m, 8_000
-    )
+    points, stride = _thinned(points_level, height_m, settings.ceiling_height_min_m, 8_000)
     # Heights above planes parallel to the floor, and above level ones where the floor slopes by more than a hundredth.
     slopes = [*floor.slopes]
     if all(np.hypot(*slope) >= 0.01 for slope in slopes):
@@ -29,12 +36,12 @@ def find_ceilings(
     parallel = [points[:, 2] - floor.height_m - points[:, :2] @ slope for slope in slopes]
     generator = np.random.default_rng(seed)
     ceilings: list[HorizontalPlane] = []
-    for _ in range(settings.ceilings_max + 1):
-        share = settings.ceiling_further_min if ceilings else settings.ceiling_support_min
+    for _ in range(_CEILINGS_MAX + 1):
+        share = _FURTHER_SHARE_MIN if ceilings else settings.ceiling_support_min
         support_min = max(30, int(share * len(points_level) / stride))
-        if len(points) < support_min or len(ceilings) == settings.ceilings_max:
+        if len(points) < support_min or len(ceilings) == _CEILINGS_MAX:
             break
-        found = [_ransac_height(heights, settings, generator) for heights in parallel]
+        found = [_ransac_height(heights, settings.ceiling_distance_m, generator) for heights in parallel]
         best = int(np.argmax([support for _, support in found]))
         heights, (centre_m, support) = parallel[best], found[best]
         if support < support_min:
@@ -61,12 +68,10 @@ def below_ceiling(points_level: FloatArray, planes: FloatArray) -> FloatArray:
     return np.asarray(_below(points_level, np.ascontiguousarray(planes, np.float64)))
 
 
-def _ransac_height(
-    heights_m: FloatArray, settings: RearrangementSettings, generator: np.random.Generator
-) -> tuple[float, int]:
+def _ransac_height(heights_m: FloatArray, distance_m: float, generator: np.random.Generator) -> tuple[float, int]:
     """The best of the hypotheses, as the mean height of its returns, and how many they are."""
-    chosen = generator.integers(0, len(heights_m), settings.ceiling_iterations)
-    mean_m, count = _best_height(heights_m, chosen, settings.ceiling_distance_m, HEIGHT_BIN_M)
+    chosen = generator.integers(0, len(heights_m), _HYPOTHESES)
+    mean_m, count = _best_height(heights_m, chosen, distance_m, HEIGHT_BIN_M)
     return float(mean_m), int(count)
 
 
@@ -88,17 +93,20 @@ def _is_broad(points: FloatArray) -> bool:
 
 @numba.njit(cache=True, nogil=True)
 def _thinned(
-    points: FloatArray, above_m: FloatArray, low_m: float, high_m: float, most: int
+    points: FloatArray, above_m: FloatArray, low_m: float, most: int
 ) -> tuple[FloatArray, int]:  # pragma: no cover
-    """Every n-th of the points between two heights, (k, 3) float64, and n: not many more than `most`."""
+    """Every n-th of the points from `low_m` to `_HEIGHT_MAX_M`, (k, 3) float64, and n.
+
+    Not many more than `most`.
+    """
     count = 0
     for i in range(len(points)):
-        count += low_m < above_m[i] < high_m
+        count += low_m < above_m[i] < _HEIGHT_MAX_M
     stride = max(1, count // most)
     kept = np.empty(((count + stride - 1) // stride, 3))
     place, left_out = 0, 0
     for i in range(len(points)):
-        if low_m < above_m[i] < high_m:
+        if low_m < above_m[i] < _HEIGHT_MAX_M:
             if left_out == 0:
                 kept[place, 0], kept[place, 1], kept[place, 2] = points[i, 0], points[i, 1], points[i, 2]
                 place, left_out = place + 1, stride

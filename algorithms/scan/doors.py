@@ -13,6 +13,18 @@ from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.algorithms.scan.rearrangement import Returns
 from ffmap.algorithms.scan.wall_planes import WallPlanes
 
+_WALL_DISTANCE_M = 0.05
+"""Maximum distance (m) from the plane of the uppermost return of the wall in a line; what is higher
+is ceiling or another thing. III.C."""
+_BEFORE_M = 0.08
+"""Distance before the plane (m) beyond which a return hides the wall and is left out. III.C,
+condition 2."""
+_DEPTH_MAX_M = 0.5
+"""Maximum depth (m) that a return counts with: a few far ones seen through an open door would
+decide. III.C."""
+_GAP_MAX_M = 0.35
+"""Maximum gap (m) between neighbouring lines of an opening. III.C."""
+
 
 class DoorsSettings(StepSettings):
     """The paper's door conditions (III.C) and the openings made of them."""
@@ -32,23 +44,6 @@ class DoorsSettings(StepSettings):
     lintel_min_m: float = Field(
         0.06, ge=0, description="Minimum height (m) of the wall above a door. III.C, condition 1."
     )
-    wall_distance_m: float = Field(
-        0.05,
-        gt=0,
-        description="Maximum distance (m) from the plane of the uppermost return of the wall in a line; what is higher is "
-        "ceiling or another thing. III.C.",
-    )
-    before_m: float = Field(
-        0.08,
-        gt=0,
-        description="Distance before the plane (m) beyond which a return hides the wall and is left out. III.C, condition 2.",
-    )
-    depth_max_m: float = Field(
-        0.5,
-        gt=0,
-        description="Maximum depth (m) that a return counts with: a few far ones seen through an open door would decide. "
-        "III.C.",
-    )
     exceptions_max: float = Field(
         0.15, ge=0, lt=1, description="Maximum share of returns on the plane below the start: noise, a handle. III.C."
     )
@@ -56,7 +51,6 @@ class DoorsSettings(StepSettings):
         12, ge=1, description="Minimum number of returns behind the plane in a line. III.C, condition 2."
     )
     lines_min: int = Field(2, ge=1, description="Minimum number of neighbouring lines in an opening. III.C.")
-    gap_m: float = Field(0.35, gt=0, description="Maximum gap (m) between neighbouring lines of an opening. III.C.")
 
 
 class DoorState(IntEnum):
@@ -83,7 +77,7 @@ class DoorLines:
     behind: (D,) bool, condition 2: from some point downwards all of its returns lie behind the plane.
     start_height_m: (D,) height above the floor of the return at which that begins; NaN where condition 2 failed.
     high_enough: (D,) bool, condition 3: it begins at least the door's minimum height above the floor.
-    depth_m: (D,) mean distance behind the plane below the start, `depth_max_m` at most a return; NaN where condition 2 failed.
+    depth_m: (D,) mean distance behind the plane below the start, `_DEPTH_MAX_M` at most a return; NaN where condition 2 failed.
     state: (D,) uint8, see `DoorState`; has a meaning where all three conditions held.
     position: (D, 2) x and y on the plane where the line passes below the start.
 
@@ -165,7 +159,6 @@ def find_door_lines(
         planes.normal,
         planes.offset_m,
         np.ascontiguousarray(returns.origin_level, np.float64),
-        settings.wall_distance_m,
         settings.recess_min_m,
         # The wall above may be off its plane by half of a recess, and by a centimetre that the plane itself is off.
         0.5 * settings.recess_min_m + 0.01,
@@ -173,9 +166,7 @@ def find_door_lines(
         0.25 * settings.recess_min_m,
         # A few far returns behind an open door weigh no more than a leaf's many when the split is looked for.
         2.0 * settings.open_depth_m,
-        settings.depth_max_m,
         settings.lintel_min_m,
-        settings.before_m,
         settings.exceptions_max,
         settings.points_min,
     )
@@ -206,7 +197,7 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
     walk = np.lexsort((place_m, door_lines.state[chosen], door_lines.plane[chosen]))
     chosen, place_m = chosen[walk], place_m[walk]
     plane, state = door_lines.plane[chosen], door_lines.state[chosen]
-    breaks = np.flatnonzero((np.diff(plane) != 0) | (np.diff(state) != 0) | (np.diff(place_m) > settings.gap_m)) + 1
+    breaks = np.flatnonzero((np.diff(plane) != 0) | (np.diff(state) != 0) | (np.diff(place_m) > _GAP_MAX_M)) + 1
     groups = [g for g in np.split(np.arange(len(chosen)), breaks) if len(g) >= settings.lines_min]
     door_line_opening = np.full(len(door_lines.line), -1, np.int32)
     for opening, group in enumerate(groups):
@@ -237,14 +228,11 @@ def _split_lines(
     normal: FloatArray,
     offset: FloatArray,
     origin: FloatArray,
-    wall_distance_m: float,
     recess_min_m: float,
     above_off_max_m: float,
     on_plane_m: float,
     split_depth_max_m: float,
-    depth_max_m: float,
     lintel_min_m: float,
-    before_m: float,
     exceptions_max: float,
     points_min: int,
 ) -> tuple[IntArray, FloatArray, FloatArray, UInt8Array, FloatArray]:  # pragma: no cover
@@ -264,14 +252,17 @@ def _split_lines(
         first, last = starts[line[d]], starts[line[d] + 1]
         # From the top down: where the line first lies on its plane, the wall begins.
         top = last - 1
-        while top >= first and abs(nx * points[order[top], 0] + ny * points[order[top], 1] - off) > wall_distance_m:
+        while (
+            top >= first
+            and abs(nx * points[order[top], 0] + ny * points[order[top], 1] - off) > _WALL_DISTANCE_M
+        ):
             top -= 1
         # From there to the line's lower end: what stands before the plane is skipped, for it hides the wall.
         total, weight = 0.0, 0.0
         for j in range(first, top + 1):
             i = order[j]
             s = nx * points[i, 0] + ny * points[i, 1] - off
-            if s < before_m:
+            if s < _BEFORE_M:
                 total += max(s, -split_depth_max_m)
                 weight += 1.0
         if weight < points_min + 3:  # of the wall above
@@ -282,7 +273,7 @@ def _split_lines(
         for j in range(top, first, -1):
             i = order[j]
             s = nx * points[i, 0] + ny * points[i, 1] - off
-            if s >= before_m:
+            if s >= _BEFORE_M:
                 continue
             above_sum += max(s, -split_depth_max_m)
             above_n += 1.0
@@ -304,13 +295,13 @@ def _split_lines(
         for j in range(first, top + 1):
             i = order[j]
             s = nx * points[i, 0] + ny * points[i, 1] - off
-            if s >= before_m:
+            if s >= _BEFORE_M:
                 continue
             if j >= best_j:
-                above += max(s, -depth_max_m)
+                above += max(s, -_DEPTH_MAX_M)
                 above_n += 1.0
                 continue
-            below += max(s, -depth_max_m)
+            below += max(s, -_DEPTH_MAX_M)
             below_n += 1.0
             if s > -on_plane_m:
                 on_plane += 1.0

@@ -10,6 +10,15 @@ from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, R
 
 _SUPPORT_MIN = 20
 """Minimum number of returns on a floor."""
+_CELL_M = 0.2
+"""Edge in metres of the cells of ground whose heights tell whether a floor bends."""
+FLOOR_RANGE_M = 6.0
+"""Maximum distance in metres from the robot of the ground that tells it."""
+_BEND_DISTANCE_M = 0.012
+"""Maximum distance in metres of a cell's height from the plane that it lies on."""
+_BEND_SHARE_MIN = 0.07
+"""A floor bends where two planes hold a share of the cells that is larger by at least this than one
+plane's, and each of them holds at least this share."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +104,8 @@ def _below_base(floor: Floor) -> float:
 
 def _fullest(points_level: FloatArray, expected_m: float, settings: RearrangementSettings) -> tuple[float, int, float]:
     """The height near an expected one that holds most ground, how many returns it holds, and how much ground, in cells."""
-    search_m, cell_m, range_m = settings.floor_search_m, settings.floor_cell_m, settings.floor_range_m
-    histograms = _histograms(points_level, expected_m, search_m, HEIGHT_BIN_M, cell_m, range_m)
+    search_m = settings.floor_search_m
+    histograms = _histograms(points_level, expected_m, search_m)
     window = np.ones(max(1, round(settings.floor_height_m / HEIGHT_BIN_M)))
     returns, ground = (np.convolve(histogram, window, mode="same") for histogram in histograms)
     mode = int(np.argmax(ground))
@@ -110,22 +119,21 @@ def _bend(points_level: FloatArray, plane: HorizontalPlane, settings: Rearrangem
     near the sensor, and least squares over all of them would lay one slanting plane through both pieces.
     """
     none = np.zeros((0, 3)), False
-    search_m, cell_m, range_m = settings.floor_search_m, settings.floor_cell_m, settings.floor_range_m
-    cells = _floor_cells(points_level, plane.height_m, plane.slope, search_m, cell_m, range_m)
+    cells = _floor_cells(points_level, plane.height_m, plane.slope, settings.floor_search_m)
     rise_m = cells[:, 2]
-    on_plane = np.count_nonzero(np.abs(rise_m) < settings.bend_distance_m)
-    more = int(settings.bend_share_min * len(cells)) + 1
+    on_plane = np.count_nonzero(np.abs(rise_m) < _BEND_DISTANCE_M)
+    more = int(_BEND_SHARE_MIN * len(cells)) + 1
     # Fewer cells do not tell two planes from one.
     if len(cells) < 40 or len(cells) - on_plane < more:
         return none
     A = np.column_stack([np.ones(len(cells)), cells[:, :2]])
-    first = _consensus_plane(A, rise_m, plane.slope, settings)
-    left = np.abs(A @ first - rise_m) > settings.bend_distance_m
+    first = _consensus_plane(A, rise_m, plane.slope, settings.floor_slope_max)
+    left = np.abs(A @ first - rise_m) > _BEND_DISTANCE_M
     if np.count_nonzero(left) < more:
         return none
-    second = _consensus_plane(A[left], rise_m[left], plane.slope, settings)
-    pair, distance_m = np.stack([first, second]), settings.bend_distance_m
-    bends = [_joined(A, rise_m, pair, is_foot, distance_m) for is_foot in (True, False)]
+    second = _consensus_plane(A[left], rise_m[left], plane.slope, settings.floor_slope_max)
+    pair = np.stack([first, second])
+    bends = [_joined(A, rise_m, pair, is_foot) for is_foot in (True, False)]
     is_foot = bool(bends[0][1].sum() >= bends[1][1].sum())
     pieces, held = bends[0 if is_foot else 1]
     steepest = np.hypot(*(pieces[:, 1:] + plane.slope).T).max()
@@ -135,14 +143,14 @@ def _bend(points_level: FloatArray, plane: HorizontalPlane, settings: Rearrangem
 
 
 def _joined(
-    A: FloatArray, rise_m: FloatArray, pieces: FloatArray, is_foot: bool, distance_m: float
+    A: FloatArray, rise_m: FloatArray, pieces: FloatArray, is_foot: bool
 ) -> tuple[FloatArray, IntArray]:
     """Two planes (2, 3) fitted each to the cells on its own side of where they meet, and how many (2,) lie on each."""
     held: IntArray = np.zeros(2, np.int64)
     for _ in range(5):
         heights = A @ pieces.T
         piece = heights.argmax(axis=1) if is_foot else heights.argmin(axis=1)
-        near = np.abs(heights[np.arange(len(A)), piece] - rise_m) < distance_m
+        near = np.abs(heights[np.arange(len(A)), piece] - rise_m) < _BEND_DISTANCE_M
         held[:] = np.bincount(piece[near], minlength=2)
         if held.min() < 3:
             break
@@ -151,26 +159,24 @@ def _joined(
     return pieces, held
 
 
-def _consensus_plane(
-    A: FloatArray, rise_m: FloatArray, slope: FloatArray, settings: RearrangementSettings
-) -> FloatArray:
+def _consensus_plane(A: FloatArray, rise_m: FloatArray, slope: FloatArray, slope_max: float) -> FloatArray:
     """Rise at the origin and slope (3,) of the plane that most cells lie on; of cells with rows 1, x, y (m, 3).
 
-    slope: of the plane that the rise is counted from; both together are at most `floor_slope_max`.
+    slope: of the plane that the rise is counted from; both together are at most `slope_max`.
     """
     generator = np.random.default_rng(0)
     best: FloatArray = np.zeros(3)
     most = -1
     triples = generator.integers(0, len(A), (128, 3))
     corners = A[triples]
-    spanned = np.abs(np.linalg.det(corners)) > settings.floor_cell_m
+    spanned = np.abs(np.linalg.det(corners)) > _CELL_M
     hypotheses = np.linalg.solve(corners[spanned], rise_m[triples[spanned]][..., None])[..., 0]
-    hypotheses = hypotheses[np.hypot(*(hypotheses[:, 1:] + slope).T) <= settings.floor_slope_max]
+    hypotheses = hypotheses[np.hypot(*(hypotheses[:, 1:] + slope).T) <= slope_max]
     if len(hypotheses):
-        counts = np.count_nonzero(np.abs(hypotheses @ A.T - rise_m) < settings.bend_distance_m, axis=1)
+        counts = np.count_nonzero(np.abs(hypotheses @ A.T - rise_m) < _BEND_DISTANCE_M, axis=1)
         best, most = hypotheses[np.argmax(counts)], int(counts.max())
     for _ in range(2):
-        near = np.abs(A @ best - rise_m) < settings.bend_distance_m
+        near = np.abs(A @ best - rise_m) < _BEND_DISTANCE_M
         if most < 3 or np.linalg.matrix_rank(A[near]) < 3:
             break
         best = np.linalg.lstsq(A[near], rise_m[near], rcond=None)[0]
@@ -178,24 +184,22 @@ def _consensus_plane(
 
 
 @numba.njit(cache=True, nogil=True)
-def _histograms(
-    points: FloatArray, middle_m: float, search_m: float, bin_m: float, cell_m: float, range_m: float
-) -> FloatArray:  # pragma: no cover
+def _histograms(points: FloatArray, middle_m: float, search_m: float) -> FloatArray:  # pragma: no cover
     """(2, bins) of the heights: returns, and cells of the ground. A cell counts once, shared by its returns: so the upright
     returns of a wall count for little at any one height, be they many more than those of a floor that is seen from low.
     """
-    cells = int(2 * range_m / cell_m)
+    cells = int(2 * FLOOR_RANGE_M / _CELL_M)
     cell, count = np.full(len(points), -1, np.int32), np.zeros(cells * cells, np.int32)
     for i in range(len(points)):
-        x, y = np.float64(points[i, 0]) + range_m, np.float64(points[i, 1]) + range_m
-        inside = x >= 0 and y >= 0 and x < cells * cell_m and y < cells * cell_m
+        x, y = np.float64(points[i, 0]) + FLOOR_RANGE_M, np.float64(points[i, 1]) + FLOOR_RANGE_M
+        inside = x >= 0 and y >= 0 and x < cells * _CELL_M and y < cells * _CELL_M
         if inside and abs(points[i, 2] - middle_m) < search_m:
-            cell[i] = min(int(x / cell_m), cells - 1) * cells + min(int(y / cell_m), cells - 1)
+            cell[i] = min(int(x / _CELL_M), cells - 1) * cells + min(int(y / _CELL_M), cells - 1)
             count[cell[i]] += 1
-    histograms = np.zeros((2, int(np.ceil(2 * search_m / bin_m))))
+    histograms = np.zeros((2, int(np.ceil(2 * search_m / HEIGHT_BIN_M))))
     for i in range(len(points)):
         if cell[i] >= 0:
-            b = min(int((points[i, 2] - middle_m + search_m) / bin_m), histograms.shape[1] - 1)
+            b = min(int((points[i, 2] - middle_m + search_m) / HEIGHT_BIN_M), histograms.shape[1] - 1)
             histograms[0, b] += 1.0
             histograms[1, b] += 1.0 / count[cell[i]]
     return histograms
@@ -203,16 +207,16 @@ def _histograms(
 
 @numba.njit(cache=True, nogil=True)
 def _floor_cells(
-    points: FloatArray, height_m: float, slope: FloatArray, search_m: float, cell_m: float, range_m: float
+    points: FloatArray, height_m: float, slope: FloatArray, search_m: float
 ) -> FloatArray:  # pragma: no cover
     """(m, 3) x, y and rise above a plane, where most of its returns lie, of each cell of the ground that has enough."""
-    cells, bins = int(2 * range_m / cell_m), int(2 * search_m / HEIGHT_BIN_M)
+    cells, bins = int(2 * FLOOR_RANGE_M / _CELL_M), int(2 * search_m / HEIGHT_BIN_M)
     counts = np.zeros((cells * cells, bins), np.int32)
     for i in range(len(points)):
         x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
         rise = points[i, 2] - (height_m + slope[0] * x + slope[1] * y)
-        if abs(x) < range_m and abs(y) < range_m and abs(rise) < search_m:
-            column, row = int((x + range_m) / cell_m), int((y + range_m) / cell_m)
+        if abs(x) < FLOOR_RANGE_M and abs(y) < FLOOR_RANGE_M and abs(rise) < search_m:
+            column, row = int((x + FLOOR_RANGE_M) / _CELL_M), int((y + FLOOR_RANGE_M) / _CELL_M)
             counts[column * cells + row, min(int((rise + search_m) / HEIGHT_BIN_M), bins - 1)] += 1
     found = np.empty((cells * cells, 3))
     m = 0
@@ -227,8 +231,8 @@ def _floor_cells(
             for b in range(max(best - 3, 0), min(best + 4, bins)):
                 total += counts[cell, b]
                 weighted += counts[cell, b] * b
-            found[m, 0] = (cell // cells + 0.5) * cell_m - range_m
-            found[m, 1] = (cell % cells + 0.5) * cell_m - range_m
+            found[m, 0] = (cell // cells + 0.5) * _CELL_M - FLOOR_RANGE_M
+            found[m, 1] = (cell % cells + 0.5) * _CELL_M - FLOOR_RANGE_M
             found[m, 2] = (weighted / total + 0.5) * HEIGHT_BIN_M - search_m
             m += 1
     return found[:m]

@@ -23,29 +23,23 @@ from ffmap.algorithms.scan.vertical_structures import (
 )
 from ffmap.algorithms.scan.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
 
+_EDGE_M = 0.01
+"""Along an edge a return goes to the wall unless floor or ceiling is nearer by more than this
+(m)."""
+_END_MARGIN_M = 0.15
+"""How far (m) a wall plane reaches beyond its outermost lines. III.C."""
+_CORNER_GAP_MAX_M = 0.6
+"""Maximum gap (m) between the end of a plane and its corner with another, to which it is completed.
+III.C."""
+_LEAF_MARGIN_M = 0.03
+"""How far (m) a closed leaf reaches beyond the outermost lines that showed it. III.C."""
+
 
 class LabellingSettings(StepSettings):
     """From planes to labels (paper, III.C)."""
 
     wall_distance_m: float = Field(
         0.045, gt=0, le=0.5, description="Maximum distance (m) of a wall's return from a wall plane of the scan. III.C."
-    )
-    edge_m: float = Field(
-        0.01,
-        ge=-0.1,
-        le=0.1,
-        description="Along an edge a return goes to the wall unless floor or ceiling is nearer by more than this (m).",
-    )
-    end_margin_m: float = Field(
-        0.15, ge=0, description="How far (m) a wall plane reaches beyond its outermost lines. III.C."
-    )
-    corner_m: float = Field(
-        0.6,
-        ge=0,
-        description="Maximum gap (m) between the end of a plane and its corner with another, to which it is completed. III.C.",
-    )
-    leaf_margin_m: float = Field(
-        0.03, ge=0, description="How far (m) a closed leaf reaches beyond the outermost lines that showed it. III.C."
     )
 
 
@@ -135,11 +129,10 @@ def label_scan(
         plane_rows(ceilings),
         planes.normal,
         planes.offset_m,
-        completed_ends(planes.normal, planes.offset_m, planes.ends, settings.labelling),
+        completed_ends(planes.normal, planes.offset_m, planes.ends),
         settings.labelling.wall_distance_m,
-        settings.labelling.edge_m,
     )
-    _label_leaves(returns, label, plane, planes, openings, settings.labelling.leaf_margin_m)
+    _label_leaves(returns, label, plane, planes, openings)
     return ScanLabelling(
         label, plane, returns.height_m, floor, ceilings, lines, structures, planes, door_lines, openings, settings
     )
@@ -157,14 +150,12 @@ def _lines_with(label: UInt8Array, wanted: int, order: IntArray, starts: IntArra
     return found
 
 
-def completed_ends(
-    normal: FloatArray, offset_m: FloatArray, ends: FloatArray, settings: LabellingSettings
-) -> FloatArray:
+def completed_ends(normal: FloatArray, offset_m: FloatArray, ends: FloatArray) -> FloatArray:
     """(K, 2) minimum and maximum place along each plane, widened by the margin and completed to corners with others."""
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     places = np.einsum("ked,kd->ke", ends, along)
     low, high = places.min(axis=1), places.max(axis=1)
-    widened = np.stack([low - settings.end_margin_m, high + settings.end_margin_m], axis=1)
+    widened = np.stack([low - _END_MARGIN_M, high + _END_MARGIN_M], axis=1)
     for k in range(len(normal)):
         for other in range(len(normal)):
             turn = normal[k, 0] * normal[other, 1] - normal[k, 1] * normal[other, 0]
@@ -172,24 +163,29 @@ def completed_ends(
                 continue
             corner = np.linalg.solve(normal[[k, other]], offset_m[[k, other]])
             place_k, place_other = float(corner @ along[k]), float(corner @ along[other])
-            if not low[other] - settings.corner_m < place_other < high[other] + settings.corner_m:
+            if not low[other] - _CORNER_GAP_MAX_M < place_other < high[other] + _CORNER_GAP_MAX_M:
                 continue
-            if low[k] - settings.corner_m < place_k < low[k]:
+            if low[k] - _CORNER_GAP_MAX_M < place_k < low[k]:
                 widened[k, 0] = min(widened[k, 0], place_k)
-            elif high[k] < place_k < high[k] + settings.corner_m:
+            elif high[k] < place_k < high[k] + _CORNER_GAP_MAX_M:
                 widened[k, 1] = max(widened[k, 1], place_k)
     return widened
 
 
 def _label_leaves(
-    returns: Returns, label: UInt8Array, plane: IntArray, planes: WallPlanes, openings: Openings, margin_m: float
+    returns: Returns,
+    label: UInt8Array,
+    plane: IntArray,
+    planes: WallPlanes,
+    openings: Openings,
 ) -> None:
     """Returns within a closed opening, on its leaf, are door, though they lie near enough to the wall to be wall."""
     for o in np.flatnonzero(openings.state == DoorState.CLOSED):
         k, depth_m = openings.plane[o], openings.depth_m[o]
         nx, ny = planes.normal[k]
         low, high = np.sort(openings.ends[o] @ np.array([-ny, nx]))
-        within = (low - margin_m, high + margin_m), (-depth_m - 0.05, -0.5 * depth_m), openings.head_m[o]
+        along_m = low - _LEAF_MARGIN_M, high + _LEAF_MARGIN_M
+        within = along_m, (-depth_m - 0.05, -0.5 * depth_m), openings.head_m[o]
         _label_leaf(returns.points_level, returns.height_m, label, plane, (nx, ny, planes.offset_m[k]), within, k)
 
 
@@ -240,7 +236,6 @@ def _label_walls(
     offset: FloatArray,
     ends: FloatArray,
     distance_m: float,
-    edge_m: float,
 ) -> IntArray:  # pragma: no cover
     """Every return against every plane of the scan; along an edge the nearer of wall and floor or ceiling decides."""
     plane = np.full(len(points), -1, np.int16)
@@ -263,7 +258,7 @@ def _label_walls(
             for c in range(len(ceilings)):
                 below = ceilings[c, 0] + ceilings[c, 1] * x + ceilings[c, 2] * y - points[i, 2]
                 inside = below if abs(below) < abs(inside) else inside
-        if inside > nearest - edge_m:
+        if inside > nearest - _EDGE_M:
             label[i] = Label.WALL
             plane[i] = best
     return plane

@@ -27,48 +27,14 @@ class RearrangementSettings(StepSettings):
     floor_slope_max: float = Field(
         0.09, ge=0, le=0.5, description="Maximum slope of the floor (m per m); 0 keeps it level. III.A."
     )
-    floor_cell_m: float = Field(
-        0.2,
-        gt=0.01,
-        le=2,
-        description="Edge in metres of the cells of ground whose heights tell whether a floor bends.",
-    )
-    floor_range_m: float = Field(
-        6.0, gt=0, le=50, description="Maximum distance in metres from the robot of the ground that tells it."
-    )
-    bend_distance_m: float = Field(
-        0.012, gt=0, le=0.5, description="Maximum distance in metres of a cell's height from the plane that it lies on."
-    )
-    bend_share_min: float = Field(
-        0.07,
-        gt=0,
-        le=1,
-        description="A floor bends where two planes hold a share of the cells that is larger by at least this than one "
-        "plane's, and each of them holds at least this share.",
-    )
     ceiling_distance_m: float = Field(
         0.03, gt=0, le=0.5, description="Maximum distance (m) of a ceiling return from a ceiling plane. III.A."
     )
     ceiling_height_min_m: float = Field(
         2.1, gt=0, description="Minimum height (m) of a ceiling above the floor. III.A."
     )
-    ceiling_height_max_m: float = Field(
-        50.0, gt=0, description="Maximum height in metres above the floor of a ceiling; a damaged return may be higher."
-    )
     ceiling_support_min: float = Field(
         0.02, ge=0, le=1, description="Minimum share of the scan's returns on a ceiling. III.A."
-    )
-    ceiling_further_min: float = Field(
-        0.004, ge=0, le=1, description="The same for a further ceiling, seen through a door. III.A."
-    )
-    ceiling_iterations: int = Field(
-        500, ge=1, le=100_000, description="Number of RANSAC hypotheses for each ceiling. III.A."
-    )
-    ceilings_max: int = Field(
-        3,
-        ge=1,
-        le=10,
-        description="Maximum number of ceilings in a scan; rooms seen through doors have their own. III.A.",
     )
     line_points_min: int = Field(
         20, ge=2, description="Minimum number of returns in a point line, floor and ceiling left out. III.A."

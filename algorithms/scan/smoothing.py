@@ -18,6 +18,13 @@ from ffmap.algorithms.base.settings import StepSettings
 _RETURNS_MIN = 5  # minimum number of returns of a facet: fewer show no surface
 _STEP_MAX_RAD = 0.04  # maximum angle between neighbouring returns of a ring
 _CONTRACT = {"contract", "arcp"}  # a product and a sum may be one instruction, a quotient the product with an inverse
+_FACET_MAX_M = 0.2
+"""Maximum width (m) of a facet of more than 5 returns, across its rays."""
+_RESIDUAL_MAX_SCATTERS = 1.4
+"""Maximum RMS distance of returns from their facet, in multiples of the scan's scatter."""
+_CORRECTION_MAX_SCATTERS = 3.5
+"""Maximum distance by which a return is moved, in multiples of the scan's scatter; one farther off
+stays."""
 
 
 class SmoothingSettings(StepSettings):
@@ -28,17 +35,6 @@ class SmoothingSettings(StepSettings):
         ge=0,
         le=101,
         description="Maximum number of successive returns of a ring in a facet; below 5, nothing is smoothed.",
-    )
-    facet_max_m: float = Field(
-        0.2, gt=0, description="Maximum width (m) of a facet of more than 5 returns, across its rays."
-    )
-    residual_max: float = Field(
-        1.4, gt=0, description="Maximum RMS distance of returns from their facet, in multiples of the scan's scatter."
-    )
-    correction_max: float = Field(
-        3.5,
-        gt=0,
-        description="Maximum distance by which a return is moved, in multiples of the scan's scatter; one farther off stays.",
     )
 
 
@@ -74,9 +70,9 @@ def smooth_ranges(scan: Scan, settings: SmoothingSettings) -> SmoothedRanges:
     range_m = _along_rings(points, rank)
     # Sensors count in steps of millimetres; what scatters by more than some centimetres is no surface.
     scatter_m = min(max(_scatter(range_m, turn, starts), 0.002), 0.06)
-    residual_max_m, correction_max_m = settings.residual_max * scatter_m, settings.correction_max * scatter_m
+    residual_max_m, correction_max_m = _RESIDUAL_MAX_SCATTERS * scatter_m, _CORRECTION_MAX_SCATTERS * scatter_m
     smooth_m = _smooth(
-        range_m, turn, starts, settings.returns, settings.facet_max_m, scatter_m, residual_max_m, correction_max_m
+        range_m, turn, starts, settings.returns, _FACET_MAX_M, scatter_m, residual_max_m, correction_max_m
     )
     return SmoothedRanges(*_moved(points, rank, range_m, smooth_m), scatter_m)
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, Echo, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.scan.floor import FLOOR_RANGE_M
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
 RAYS_PER_SCAN = 16_000  # maximum number of rays that are kept of a scan
@@ -101,7 +102,7 @@ def extract_planes(index: int, placed: PlacedScan, labelling: ScanLabelling) -> 
         origin_map=placed.origin_level[None],
         floor_map=labelling.floor.both_pieces[None],
         floor_is_foot=np.array([labelling.floor.is_foot]),
-        floor_reach_m=np.array([labelling.settings.rearrangement.floor_range_m]),
+        floor_reach_m=np.array([FLOOR_RANGE_M]),
         ray_count=np.zeros(1, np.int64),
         plane_count=np.array([len(planes)]),
         ray_end_map=np.zeros((0, 3), np.float32),

@@ -17,6 +17,15 @@ _SPREADS = 1.5
 
 For evenly spread samples it is √3; less, so that a few odd samples do not lengthen the plane.
 """
+_UPPER_PART_M = 0.4
+"""Height (m) of the upper part of a candidate that is fitted: no leaf or furniture stands before
+it. III.B."""
+_OVERHANG_M = 0.2
+"""Minimum depth (m) of a soffit, a vault or a roof over a candidate, which closes up to the
+ceiling: leaves and blinds stand less deep in their openings, and what lies above furniture is
+farther. III.B."""
+_GAP_M_PER_M = 0.15
+"""Added to the gap for each metre of range, for emitters spread apart. Alg. 1."""
 
 
 class WallPlanesSettings(StepSettings):
@@ -28,11 +37,6 @@ class WallPlanesSettings(StepSettings):
         le=1,
         description="σ_th: maximum RMS distance (m) of a candidate from the plane that it joins. Alg. 1.",
     )
-    upper_part_m: float = Field(
-        0.4,
-        gt=0,
-        description="Height (m) of the upper part of a candidate that is fitted: no leaf or furniture stands before it. III.B.",
-    )
     reach_m: float = Field(
         0.35,
         gt=0,
@@ -41,12 +45,6 @@ class WallPlanesSettings(StepSettings):
     height_min_m: float = Field(
         2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is in view. III.B."
     )
-    overhang_m: float = Field(
-        0.2,
-        gt=0,
-        description="Minimum depth (m) of a soffit, a vault or a roof over a candidate, which closes up to the ceiling: leaves and "
-        "blinds stand less deep in their openings, and what lies above furniture is farther. III.B.",
-    )
     bottom_max_m: float = Field(
         2.2,
         gt=0,
@@ -54,9 +52,6 @@ class WallPlanesSettings(StepSettings):
         "III.B.",
     )
     gap_m: float = Field(0.3, gt=0, description="Maximum gap (m) between neighbouring lines of a plane. Alg. 1.")
-    gap_per_range: float = Field(
-        0.15, ge=0, description="Added to the gap for each metre of range, for emitters spread apart. Alg. 1."
-    )
     merge_gap_m: float = Field(
         1.5,
         ge=0,
@@ -240,7 +235,7 @@ def _choose_candidates(
     lines, tops, origin = structures.line[low], structures.last[low], returns.origin_level[:2]
     ends_level = returns.points_level[samples[lines, -1]]
     end_reach, _ = _reach_of(ends_level, floor.heights_above(ends_level), ceilings, floor, settings)
-    overhung = _overhung(returns.points_level, samples, lines, tops, origin, settings.overhang_m)
+    overhung = _overhung(returns.points_level, samples, lines, tops, origin)
     overhung &= end_reach != Reach.LOW
     reach[low[overhung]] = Reach.OVERHUNG
     # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
@@ -254,7 +249,7 @@ def _choose_candidates(
     # further: it has next to no returns of the ceiling.
     turns_back = ~meets_ceiling[line] & is_upmost[chosen] & (structures.top_m[chosen] > 0.5 * settings.height_min_m)
     spans = np.stack([line, structures.first[chosen], structures.last[chosen]], axis=1)
-    moments, upper = _upper_parts(returns.points_level, returns.height_m, samples, spans, settings.upper_part_m)
+    moments, upper = _upper_parts(returns.points_level, returns.height_m, samples, spans)
     x0, y0 = returns.origin_level[:2]
     range_m = np.hypot(moments[:, 1] / moments[:, 0] - x0, moments[:, 2] / moments[:, 0] - y0)
     return _Candidates(
@@ -264,7 +259,7 @@ def _choose_candidates(
         moments=moments,
         reach=np.where((reach[chosen] == Reach.LOW) & turns_back, np.uint8(Reach.TURNS_BACK), reach[chosen]),
         below_ceiling_m=below_ceiling_m[chosen],
-        gap_max_m=settings.gap_m + settings.gap_per_range * range_m,
+        gap_max_m=settings.gap_m + _GAP_M_PER_M * range_m,
     )
 
 
@@ -291,12 +286,12 @@ def _reach_of(
 
 @numba.njit(cache=True, nogil=True)
 def _overhung(
-    points: FloatArray, samples: IntArray, line: IntArray, last: IntArray, origin: FloatArray, overhang_m: float
+    points: FloatArray, samples: IntArray, line: IntArray, last: IntArray, origin: FloatArray
 ) -> BoolArray:  # pragma: no cover
     """(s,) whether what each structure's line meets above it touches it, is no farther and no lower, and comes nearer.
 
     No ray passes above such a structure: over furniture, and below what hangs before a wall, there are such. line, last: (s,) of
-    some structures, the line and the highest sample. Of ten samples above one may be stray, by a quarter of `overhang_m`.
+    some structures, the line and the highest sample. Of ten samples above one may be stray, by a quarter of `_OVERHANG_M`.
     """
     overhung = np.zeros(len(line), np.bool_)
     for s in range(len(line)):
@@ -309,11 +304,11 @@ def _overhung(
         stray, nearest = 0, rho
         for j in range(last[s] + 1, len(own)):
             rho_j, z_j = np.hypot(points[own[j], 0] - origin[0], points[own[j], 1] - origin[1]), points[own[j], 2]
-            if j == last[s] + 1 and np.hypot(rho_j - rho, z_j - z) > overhang_m:
+            if j == last[s] + 1 and np.hypot(rho_j - rho, z_j - z) > _OVERHANG_M:
                 stray = above
-            stray += rho_j > rho + 0.25 * overhang_m or z_j < z - 0.25 * overhang_m
+            stray += rho_j > rho + 0.25 * _OVERHANG_M or z_j < z - 0.25 * _OVERHANG_M
             nearest = min(nearest, rho_j)
-        overhung[s] = nearest < rho - overhang_m and 10 * stray <= above
+        overhung[s] = nearest < rho - _OVERHANG_M and 10 * stray <= above
     return overhung
 
 
@@ -350,7 +345,6 @@ def _bottom_behind(
         fit_upright_plane(candidates.moments[own].sum(axis=0))[:3],
         returns.origin_level[:2],
         settings.similarity_m,
-        settings.overhang_m,
     )
     lowest_m = structures.bottom_m[candidates.structure[own] if len(behind) < settings.lines_min else behind]
     return float(lowest_m.min())
@@ -365,7 +359,6 @@ def _behind(
     plane: tuple[float, float, float],
     origin: FloatArray,
     similarity_m: float,
-    overhang_m: float,
 ) -> IntArray:  # pragma: no cover
     """The structures in a plane that something nearer parts from those above them in their lines, one for each such line.
 
@@ -386,7 +379,7 @@ def _behind(
             rho, nearest = np.hypot(points[top, 0] - origin[0], points[top, 1] - origin[1]), np.inf
             for j in range(spans[s, 2] + 1, spans[u, 1]):
                 nearest = min(nearest, np.hypot(points[own[j], 0] - origin[0], points[own[j], 1] - origin[1]))
-            if off < 2.0 * similarity_m and nearest < rho - overhang_m:
+            if off < 2.0 * similarity_m and nearest < rho - _OVERHANG_M:
                 found[count] = s
                 count += 1
                 break
@@ -437,7 +430,7 @@ def _extents(
 
 @numba.njit(cache=True, nogil=True)
 def _upper_parts(
-    points: FloatArray, height: FloatArray, samples: IntArray, spans: IntArray, upper_part_m: float
+    points: FloatArray, height: FloatArray, samples: IntArray, spans: IntArray
 ) -> tuple[FloatArray, IntArray]:  # pragma: no cover
     """n, Σx, Σy, Σxx, Σxy, Σyy of each candidate's upper part, and that part's line, lowest and highest sample.
 
@@ -449,7 +442,7 @@ def _upper_parts(
         line, first, last = spans[c, 0], spans[c, 1], spans[c, 2]
         top = height[samples[line, last]]
         s = last
-        while s >= first and (last - s < 10 or height[samples[line, s]] > top - upper_part_m):
+        while s >= first and (last - s < 10 or height[samples[line, s]] > top - _UPPER_PART_M):
             i = samples[line, s]
             x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
             moments[c, 0] += 1.0

@@ -15,7 +15,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
-from ffmap.algorithms.scan.ceiling import find_ceilings
+from ffmap.algorithms.scan.ceiling import _CEILINGS_MAX, find_ceilings
 from ffmap.algorithms.scan.floor import find_floor
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings
@@ -223,7 +223,7 @@ class TestHorizontalPlanes:
         @example(np.full((1000, 3), 2.5, np.float32), 0)
         def check(cloud: np.ndarray, seed: int) -> None:
             ceilings = find_ceilings(cloud, cloud[:, 2], HorizontalPlane(0.0, np.zeros(2), 0), REARRANGEMENT, seed)
-            assert len(ceilings) <= REARRANGEMENT.ceilings_max
+            assert len(ceilings) <= _CEILINGS_MAX
             assert all(is_sound(ceiling, 0.03, cloud) for ceiling in ceilings)
             high = cloud[:, 2] > REARRANGEMENT.ceiling_height_min_m
             if np.count_nonzero(high) < max(30, int(REARRANGEMENT.ceiling_support_min * len(cloud))):

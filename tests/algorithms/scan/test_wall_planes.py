@@ -10,6 +10,7 @@ from ffmap.algorithms.scan.point_lines import SAMPLES
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 from ffmap.algorithms.scan.wall_planes import (
+    _UPPER_PART_M,
     Growth,
     Membership,
     Reach,
@@ -99,7 +100,7 @@ def grow(
 def literal(candidates: np.ndarray, noise_m: float = 0.0, seed: int = 0) -> list[list[int]]:
     """Algorithm 1 as printed, on the candidates' upper parts; Ω and Θ by singular values."""
     points = samples_of(candidates, np.array([SPAN_M] * len(candidates)), noise_m, seed)
-    upper = [p[p[:, 2] > p[-1, 2] - SETTINGS.upper_part_m, :2] for p in points]
+    upper = [p[p[:, 2] > p[-1, 2] - _UPPER_PART_M, :2] for p in points]
 
     def omega(members: list[int]) -> tuple[np.ndarray, np.ndarray]:
         xy = np.concatenate([upper[m] for m in members])
@@ -137,7 +138,7 @@ def test_candidates_in_order_grow_one_plane() -> None:
     # y = 2, the normal towards the sensor; the ends are those of the outermost candidates' upper parts.
     np.testing.assert_allclose(found.normal, [[0, -1]], atol=1e-5)
     np.testing.assert_allclose(found.offset_m, [-2], atol=1e-5)
-    upper = 0.1 * SETTINGS.upper_part_m / (SPAN_M[1] - SPAN_M[0])
+    upper = 0.1 * _UPPER_PART_M / (SPAN_M[1] - SPAN_M[0])
     np.testing.assert_allclose(np.sort(found.ends[0, :, 0]), [-1 + 0.1 - upper, 1.3], atol=0.002)
     np.testing.assert_allclose(found.ends[0, :, 1], 2, atol=1e-5)
     np.testing.assert_allclose([found.bottom_m[0], found.top_m[0]], SPAN_M, atol=1e-6)
@@ -242,7 +243,7 @@ def test_the_second_candidate_is_compared_with_the_plane_of_both(apart_m: float,
     found = grow(pair)
     assert found.candidate_growth.tolist() == [SEEDED, growth]
     points = samples_of(pair, np.array([SPAN_M] * 2))
-    xy = points[points[:, :, 2] > SPAN_M[1] - SETTINGS.upper_part_m][:, :2]
+    xy = points[points[:, :, 2] > SPAN_M[1] - _UPPER_PART_M][:, :2]
     rms_m = np.linalg.svd(xy - xy.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(xy))
     assert found.candidate_distance_m[1] == pytest.approx(rms_m, rel=0.01)
 
