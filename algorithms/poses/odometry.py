@@ -13,7 +13,17 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import GAP_PERIODS
-from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner, is_clear, may_change, middle_ns
+from ffmap.algorithms.poses.refinement import (
+    LOST_DISTANCE_M,
+    WEAK_INLIER_SHARE,
+    WEAK_SHARE,
+    Refinement,
+    RefinementSettings,
+    Refiner,
+    is_clear,
+    may_change,
+    middle_ns,
+)
 
 if TYPE_CHECKING:
     from kiss_icp.config import KISSConfig  # noqa: TID251 - its one place
@@ -21,15 +31,24 @@ if TYPE_CHECKING:
 _RETRY_NS = 1_000_000_000  # after so long the sensor may see what the map holds: a search takes as long as ten scans
 _STEP_MIN_NS = 5_000_000
 """Minimum time between two poses: no lidar sweeps faster, and over less time their errors would look like fast motion."""
+_POINTS_PER_VOXEL = 5
+"""Maximum number of points in a voxel of the local map. KISS-ICP."""
+_THRESHOLD_INITIAL_M = 0.5
+"""First correspondence threshold (m), before it adapts. KISS-ICP."""
+_MOTION_MIN_M = 0.05
+"""Minimum deviation (m) that adapts the threshold. KISS-ICP."""
+_ITERATIONS_MAX = 300
+"""Maximum number of ICP iterations for a scan. KISS-ICP."""
+_CONVERGENCE_M_RAD = 3e-3
+"""ICP stops at a smaller step (m and rad). KISS-ICP."""
+_EVIDENCE_EVERY_SCANS = 10
+"""The local map and the residual are kept for every n-th scan. KISS-ICP."""
 
 
 class OdometrySettings(StepSettings):
     """KISS-ICP (Vizzo et al. 2023), in place of the paper's BLAM (IV.A)."""
 
     voxel_m: float = Field(0.25, ge=0.01, le=5, description="Edge (m) of the local map's voxels. KISS-ICP.")
-    points_per_voxel: int = Field(
-        5, ge=1, description="Maximum number of points in a voxel of the local map. KISS-ICP."
-    )
     range_min_m: float = Field(
         0.5, ge=0, description="Minimum range (m): nearer returns are the robot itself. KISS-ICP."
     )
@@ -41,17 +60,8 @@ class OdometrySettings(StepSettings):
         "KISS-ICP.",
     )
     deskew: bool = Field(True, description="Compensate the motion within a sweep where the cloud has times. KISS-ICP.")
-    threshold_initial_m: float = Field(
-        0.5, gt=0, description="First correspondence threshold (m), before it adapts. KISS-ICP."
-    )
-    motion_min_m: float = Field(0.05, gt=0, description="Minimum deviation (m) that adapts the threshold. KISS-ICP.")
-    iterations_max: int = Field(300, ge=1, description="Maximum number of ICP iterations for a scan. KISS-ICP.")
-    convergence: float = Field(3e-3, gt=0, description="ICP stops at a smaller step (m and rad). KISS-ICP.")
     threads: int = Field(
         1, ge=0, le=256, description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP."
-    )
-    evidence_every: int = Field(
-        10, ge=1, description="The local map and the residual are kept for every n-th scan. KISS-ICP."
     )
 
 
@@ -66,7 +76,7 @@ class Registration:
     keypoints_sensor: (k, 3) float32, the thinned returns that were registered, as they are seen at that time: of both
         lidars; where poses are not refined, KISS-ICP's own of the one.
     local_map_odom: (m, 3) float32, the local map that they were registered to, moved as the pose was refined; empty
-        but for every `evidence_every`-th scan.
+        but for every `_EVIDENCE_EVERY_SCANS`-th scan.
     threshold_m: KISS-ICP's adaptive correspondence threshold.
     correction_m: how far the registration moved the constant-velocity prediction.
     residual_m: median distance of the keypoints to the local map; NaN where that was not kept.
@@ -124,13 +134,13 @@ def register_scans(
     registrable = _in_order(sound, refinement.enabled)
     for number, (index, scan, companion) in enumerate(registrable):
         threshold_m = float(odometry.adaptive_threshold.get_threshold())
-        keep_evidence = number % settings.evidence_every == 0
+        keep_evidence = number % _EVIDENCE_EVERY_SCANS == 0
         local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
         started = time.perf_counter()
         if tried_ns is not None and middle_ns(scan) - tried_ns < _RETRY_NS:
             continue
         stamps_ns.append(middle_ns(scan))
-        periods = _periods_of_a_gap(stamps_ns, refinement.lost_distance_m)
+        periods = _periods_of_a_gap(stamps_ns)
         if periods:
             # Where the motion so far leads; the refinement looks for other places too, and KISS-ICP starts anew there.
             way = np.linalg.matrix_power(odometry.last_delta, periods - 1)
@@ -186,14 +196,14 @@ def _configuration(settings: OdometrySettings) -> "KISSConfig":
 
     return KISSConfig(
         data=DataConfig(max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=settings.deskew),
-        mapping=MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=settings.points_per_voxel),
+        mapping=MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=_POINTS_PER_VOXEL),
         registration=RegistrationConfig(
-            max_num_iterations=settings.iterations_max,
-            convergence_criterion=settings.convergence,
+            max_num_iterations=_ITERATIONS_MAX,
+            convergence_criterion=_CONVERGENCE_M_RAD,
             max_num_threads=settings.threads,
         ),
         adaptive_threshold=AdaptiveThresholdConfig(
-            initial_threshold=settings.threshold_initial_m, min_motion_th=settings.motion_min_m
+            initial_threshold=_THRESHOLD_INITIAL_M, min_motion_th=_MOTION_MIN_M
         ),
     )
 
@@ -225,15 +235,15 @@ def _in_order(
             yield index, scan, companion
 
 
-def _periods_of_a_gap(stamps_ns: list[int], near_m: float) -> int:
-    """How many usual steps the last one is, where it is a gap in which a sensor may go farther than `near_m`; else 0."""
-    if len(stamps_ns) < 2 or may_change(stamps_ns[-1] - stamps_ns[-2]).metres <= near_m:
+def _periods_of_a_gap(stamps_ns: list[int]) -> int:
+    """How many usual steps the last one is, where in that gap a sensor may go farther than `LOST_DISTANCE_M`; else 0."""
+    if len(stamps_ns) < 2 or may_change(stamps_ns[-1] - stamps_ns[-2]).metres <= LOST_DISTANCE_M:
         return 0
     steps = np.diff(np.array(stamps_ns, np.int64))
     return round(steps[-1] / np.median(steps)) if steps[-1] > GAP_PERIODS * np.median(steps) else 0
 
 
-def weakness(registration: Registration, settings: RefinementSettings) -> str | None:
+def weakness(registration: Registration) -> str | None:
     """In words, why a registration is not to be relied on; None where nothing speaks against it.
 
     A scan slides along what does not hold it while all of its points fit: no residual shows that (Zhang, Kaess and Singh
@@ -241,9 +251,9 @@ def weakness(registration: Registration, settings: RefinementSettings) -> str | 
     """
     if registration.refused:
         return "it jumped away from the motion and was refused"
-    if registration.refined_inlier_share < settings.weak_inlier_share:
+    if registration.refined_inlier_share < WEAK_INLIER_SHARE:
         return f"only {registration.refined_inlier_share:.0%} of the scan fits the map"
-    if registration.weakest_share < settings.weak_share:
+    if registration.weakest_share < WEAK_SHARE:
         return f"nothing holds it in one direction ({registration.weakest_share:.1%} of the best one's hold)"
     return None
 

@@ -22,9 +22,32 @@ from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, Gaussian
 _ALONG = 2  # each submap is joined with this many before it, wherever they lie: that is the way as it was driven
 _SLIP_WEIGHT = 0.1  # what counts less than this of the way is off by more than three times the loss's scale
 _LOSSES = (30.0, 10.0, 3.0, 1.0)
-"""The widths of the loss, as shares of `loss_scale`, from one solution to the next. Loops that agree with one another, and not with
-a slip of the odometry, have to move many poses before they fit: at first all registrations count, and at last those that agree
-(graduated non-convexity: Yang, Antonante, Tzoumas and Carlone 2020)."""
+"""The widths of the loss, as shares of `_LOSS_SCALE_SIGMAS`, from one solution to the next.
+
+Loops that agree with one another, and not with a slip of the odometry, have to move many poses
+before they fit: at first all registrations count, and at last those that agree (graduated
+non-convexity: Yang, Antonante, Tzoumas and Carlone 2020).
+"""
+_RESOLUTION_M = 0.2
+"""Edge (m) of the cubes to one point each of which submaps are thinned."""
+_VOXEL_M = 0.2
+"""Edge (m) of the voxels of one Gaussian each: larger ones would blend the two sides of a wall."""
+_NEIGHBOURS = 12
+"""Number of neighbours that a point's covariance is estimated from."""
+_LOOPS_MAX = 6
+"""Maximum number of earlier passes, the nearest ones, that a submap is joined with."""
+_DISTANCE_M = 0.4
+"""Maximum distance (m) of a point from its Gaussian."""
+_ITERATIONS_MAX = 30
+"""Maximum number of iterations of a registration."""
+_INLIER_SHARE_MIN = 0.4
+"""Minimum share of a submap that fits the one that it is joined with: two passes through a doorway,
+seen from either side, share no more."""
+_LOSS_SCALE_SIGMAS = 3.0
+"""Error of a registration, in standard deviations, at which it counts half (Cauchy's loss)."""
+_ROUNDS_MAX = 4
+"""Maximum number of rounds of joining and solving: solved poses can bring further submaps near each
+other."""
 
 
 class PoseGraphSettings(StepSettings):
@@ -33,40 +56,8 @@ class PoseGraphSettings(StepSettings):
     enabled: bool = Field(True, description="Whether loops are closed once the bag has been driven through.")
     submap_scans: int = Field(20, ge=2, description="Number of scans in a submap.")
     every_scans: int = Field(10, ge=1, description="Scans from one submap's middle to the next one's.")
-    resolution_m: float = Field(
-        0.2, ge=0.01, le=5, description="Edge (m) of the cubes to one point each of which submaps are thinned."
-    )
-    voxel_m: float = Field(
-        0.2,
-        ge=0.01,
-        le=5,
-        description="Edge (m) of the voxels of one Gaussian each: larger ones would blend the two sides of a wall.",
-    )
-    neighbours: int = Field(
-        12, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
-    )
     near_m: float = Field(
         3.0, ge=0, description="Maximum distance (m) between the middles of submaps that a loop joins."
-    )
-    loops_max: int = Field(
-        6, ge=0, description="Maximum number of earlier passes, the nearest ones, that a submap is joined with."
-    )
-    distance_m: float = Field(0.4, gt=0, description="Maximum distance (m) of a point from its Gaussian.")
-    iterations_max: int = Field(30, ge=1, description="Maximum number of iterations of a registration.")
-    inlier_share: float = Field(
-        0.4,
-        ge=0,
-        le=1,
-        description="Minimum share of a submap that fits the one that it is joined with: two passes through a doorway, seen from "
-        "either side, share no more.",
-    )
-    loss_scale: float = Field(
-        3.0, gt=0, description="Error of a registration, in standard deviations, at which it counts half (Cauchy's loss)."
-    )
-    rounds_max: int = Field(
-        4,
-        ge=1,
-        description="Maximum number of rounds of joining and solving: solved poses can bring further submaps near each other.",
     )
 
 
@@ -137,7 +128,7 @@ def close_loops(
     T_odom_sensor: (n, 4, 4) of each scan; clouds_sensor: (k, 3) of each, without the motion within its sweep.
     The first submap stays where it is. A drive too short for a submap is left as it is.
     """
-    T_odom_first = _first_again(T_odom_sensor, clouds_sensor, settings)
+    T_odom_first = _first_again(T_odom_sensor, clouds_sensor, settings.submap_scans // 2)
     T_odom_sensor = _with_first(T_odom_sensor, T_odom_first)
     scan = np.arange(0, len(T_odom_sensor), settings.every_scans)
     T_start = T_odom_sensor[scan]
@@ -148,53 +139,50 @@ def close_loops(
         own = range(max(0, scan[number] - half), min(len(T_odom_sensor), scan[number] + half + 1))
         T_submap_odom = transforms.invert(T_start[number])
         points = [transforms.apply(T_submap_odom @ T_odom_sensor[i], clouds_sensor[i]) for i in own]
-        return GaussianCloud(np.concatenate(points), settings.resolution_m, settings.neighbours)
+        return GaussianCloud(np.concatenate(points), _RESOLUTION_M, _NEIGHBOURS)
 
     T = T_start
     edges: dict[tuple[int, int], _Edge] = {}
-    for round_number in range(settings.rounds_max):
-        new = sorted(_pairs(T[:, :3, 3], settings) - edges.keys())
+    for round_number in range(_ROUNDS_MAX):
+        new = sorted(_pairs(T[:, :3, 3], settings.near_m) - edges.keys())
         if not new:
             break
-        edges |= {(e.first, e.second): e for e in _register(new, T, submap, settings)}
+        edges |= {(e.first, e.second): e for e in _register(new, T, submap)}
         # Then the poses are near those that the loops agree on.
-        T = _solve(T_start, T, list(edges.values()), settings, _LOSSES if round_number == 0 else _LOSSES[-1:])
-    return _answer(T_odom_first, scan, T_start, T, [edges[pair] for pair in sorted(edges)], settings)
+        T = _solve(T_start, T, list(edges.values()), _LOSSES if round_number == 0 else _LOSSES[-1:])
+    return _answer(T_odom_first, scan, T_start, T, [edges[pair] for pair in sorted(edges)])
 
 
-def _first_again(
-    T_odom_sensor: FloatArray, clouds_sensor: Sequence[FloatArray], settings: PoseGraphSettings
-) -> FloatArray:
+def _first_again(T_odom_sensor: FloatArray, clouds_sensor: Sequence[FloatArray], half: int) -> FloatArray:
     """The pose (4, 4) of the first scan by those after it.
 
     It alone was the map that the second one was registered to, and by its pose the run's map is placed: an error of half a
-    degree there turns the whole building.
+    degree there turns the whole building. half: the number of scans in half a submap.
     """
-    half = settings.submap_scans // 2
     if len(T_odom_sensor) <= half:
         return T_odom_sensor[0] if len(T_odom_sensor) else np.eye(4)
     after = range(1, half + 1)
     points = np.concatenate([transforms.apply(T_odom_sensor[i], clouds_sensor[i]) for i in after])
     # Few scans need larger voxels than elsewhere to hold a turn.
-    gaussians = GaussianMap(2.0 * settings.voxel_m)
-    gaussians.insert(GaussianCloud(points, settings.resolution_m, settings.neighbours), np.eye(4))
-    first = GaussianCloud(clouds_sensor[0], settings.resolution_m, settings.neighbours)
-    aligned = gaussians.register(first, T_odom_sensor[0], settings.distance_m, settings.iterations_max)
-    return aligned.T_map_cloud if aligned.inlier_share >= settings.inlier_share else T_odom_sensor[0]
+    gaussians = GaussianMap(2.0 * _VOXEL_M)
+    gaussians.insert(GaussianCloud(points, _RESOLUTION_M, _NEIGHBOURS), np.eye(4))
+    first = GaussianCloud(clouds_sensor[0], _RESOLUTION_M, _NEIGHBOURS)
+    aligned = gaussians.register(first, T_odom_sensor[0], _DISTANCE_M, _ITERATIONS_MAX)
+    return aligned.T_map_cloud if aligned.inlier_share >= _INLIER_SHARE_MIN else T_odom_sensor[0]
 
 
 def _with_first(T_odom_sensor: FloatArray, T_odom_first: FloatArray) -> FloatArray:
     return np.concatenate([T_odom_first[None], T_odom_sensor[1:]]) if len(T_odom_sensor) else T_odom_sensor
 
 
-def _pairs(position: FloatArray, settings: PoseGraphSettings) -> set[tuple[int, int]]:
+def _pairs(position: FloatArray, near_m: float) -> set[tuple[int, int]]:
     """Submaps to be joined: each with those just before it, and with the nearest of each earlier pass."""
     pairs = {(i - back, i) for i in range(len(position)) for back in range(1, _ALONG + 1) if i >= back}
-    for i, near in enumerate(cKDTree(position).query_ball_point(position, settings.near_m) if len(position) else []):
+    for i, near in enumerate(cKDTree(position).query_ball_point(position, near_m) if len(position) else []):
         passes: list[int] = []
         earlier = np.array([j for j in near if j < i - _ALONG], np.int64)
         for j in earlier[np.argsort(np.linalg.norm(position[earlier] - position[i], axis=1), kind="stable")].tolist():
-            if len(passes) == settings.loops_max:
+            if len(passes) == _LOOPS_MAX:
                 break
             # Neighbours on the same pass say the same thing.
             if all(abs(j - taken) > _ALONG for taken in passes):
@@ -207,17 +195,16 @@ def _register(
     pairs: Sequence[tuple[int, int]],
     T_odom_submap: FloatArray,
     submap: Callable[[int], GaussianCloud],
-    settings: PoseGraphSettings,
 ) -> list[_Edge]:
     """Each second submap registered to its first, from where the poses have it; pairs are sorted by the first."""
     edges: list[_Edge] = []
-    mapped, gaussians = -1, GaussianMap(settings.voxel_m)
+    mapped, gaussians = -1, GaussianMap(_VOXEL_M)
     for first, second in pairs:
         if first != mapped:
-            mapped, gaussians = first, GaussianMap(settings.voxel_m)
+            mapped, gaussians = first, GaussianMap(_VOXEL_M)
             gaussians.insert(submap(first), np.eye(4))
         guess = transforms.invert(T_odom_submap[first]) @ T_odom_submap[second]
-        aligned = gaussians.register(submap(second), guess, settings.distance_m, settings.iterations_max)
+        aligned = gaussians.register(submap(second), guess, _DISTANCE_M, _ITERATIONS_MAX)
         edges.append(_Edge(first, second, aligned))
     return edges
 
@@ -226,19 +213,18 @@ def _solve(
     T_start: FloatArray,
     T_guess: FloatArray,
     edges: Sequence[_Edge],
-    settings: PoseGraphSettings,
     losses: Sequence[float] = _LOSSES,
 ) -> FloatArray:
     """Poses (m, 4, 4) that contradict the registrations least, by one loss after another; losses: their widths, as shares of
-    `loss_scale`."""
+    `_LOSS_SCALE_SIGMAS`."""
     T = T_guess
     for wider in losses:
-        T = _solved(T_start, T, edges, wider * settings.loss_scale, settings)
+        T = _solved(T_start, T, edges, wider * _LOSS_SCALE_SIGMAS)
     return T
 
 
 def _solved(
-    T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], loss_scale: float, settings: PoseGraphSettings
+    T_start: FloatArray, T_guess: FloatArray, edges: Sequence[_Edge], loss_scale: float
 ) -> FloatArray:
     """The same by one loss."""
     import gtsam  # noqa: TID251 - its one place; a tenth of a second, in the one process that closes loops
@@ -254,7 +240,7 @@ def _solved(
         graph.add(gtsam.BetweenFactorPose3(number - 1, number, gtsam.Pose3(T_step), way))
     loss = gtsam.noiseModel.mEstimator.Cauchy.Create(loss_scale)
     for edge in edges:
-        if edge.aligned.inlier_share < settings.inlier_share:
+        if edge.aligned.inlier_share < _INLIER_SHARE_MIN:
             continue
         # A direction without hold must not make the graph singular: a standard deviation of a metre and a radian is none.
         held = gtsam.noiseModel.Gaussian.Information(edge.aligned.information + np.eye(6))
@@ -271,13 +257,12 @@ def _answer(
     T_start: FloatArray,
     T: FloatArray,
     edges: Sequence[_Edge],
-    settings: PoseGraphSettings,
 ) -> PoseGraph:
     first = np.array([e.first for e in edges], np.int64)
     second = np.array([e.second for e in edges], np.int64)
     inlier_share = np.array([e.aligned.inlier_share for e in edges])
     offset = np.array([_offset(e, T) for e in edges])
-    loss = 1.0 / (1.0 + (offset / settings.loss_scale) ** 2)
+    loss = 1.0 / (1.0 + (offset / _LOSS_SCALE_SIGMAS) ** 2)
     return PoseGraph(
         T_odom_first=T_odom_first,
         scan=scan,
@@ -287,7 +272,7 @@ def _answer(
         second=second,
         offset=offset,
         inlier_share=inlier_share,
-        weight=np.where(inlier_share >= settings.inlier_share, loss, 0.0),
+        weight=np.where(inlier_share >= _INLIER_SHARE_MIN, loss, 0.0),
     )
 
 

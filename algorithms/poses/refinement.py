@@ -28,6 +28,36 @@ _SAME_DEG, _SAME_M = 10.0, 0.5  # registrations that differ by less are of one p
 _AGREEMENT_MIN = 0.3
 """Of 70 scans, the best place in another building's map has at most 0.12, the right place in their own at least 0.49."""
 _RIVAL = 0.05  # a place at the end of what is within reach must agree by so much more than the expected one
+_RESOLUTION_M = 0.2
+"""Edge (m) of the cubes to one point each of which scans are thinned."""
+_NEIGHBOURS = 12
+"""Number of neighbours that a point's covariance is estimated from."""
+LOST_DISTANCE_M = 0.5
+"""Maximum distance (m) of a point from its Gaussian where a registration within `distance_m` jumps,
+or hardly anything fits (`WEAK_INLIER_SHARE`): its guess was off. What this finds is registered
+again within `distance_m`."""
+_FIT_DROP_MAX = 0.03
+"""Where the share of a scan that fits the map is smaller by more than this than that of the last
+scan, it is registered from the other guesses too, and from all with two thirds of the distance;
+what fits best counts."""
+_ITERATIONS_MAX = 20
+"""Maximum number of iterations of a registration."""
+_MEMORY_SCANS = 50
+"""Number of scans after which a voxel without points is forgotten; the pose graph joins places seen
+again."""
+WEAK_SHARE = 0.012
+"""Minimum information in a scan's weakest direction, as a share of that in its strongest; less, as
+along a bare corridor, and the registration is called weak."""
+WEAK_INLIER_SHARE = 0.4
+"""Minimum share of a scan that fits the map; with less, the registration is called weak."""
+_PASSES_MAX = 3
+"""Maximum number of times that a sweep is put together and registered, each time by the motion that
+the last one found; the second scan, with which the motion becomes known, at least three times."""
+_BEND_DEG = 0.25
+"""A sweep is put together again where the motion that was found differs by more than this (degrees)
+over half a sweep from the one by which it was put together."""
+_BEND_M = 0.01
+"""The same in metres as `_BEND_DEG`."""
 
 
 class RefinementSettings(StepSettings):
@@ -43,12 +73,6 @@ class RefinementSettings(StepSettings):
     points_max: int = Field(
         6_000, ge=100, description="Maximum number of returns of a scan; denser clouds are thinned evenly."
     )
-    resolution_m: float = Field(
-        0.2, ge=0.01, le=5, description="Edge (m) of the cubes to one point each of which scans are thinned."
-    )
-    neighbours: int = Field(
-        12, ge=4, le=1000, description="Number of neighbours that a point's covariance is estimated from."
-    )
     companion_points_max: int = Field(
         5_000,
         ge=0,
@@ -60,52 +84,6 @@ class RefinementSettings(StepSettings):
         description="Maximum distance (m) of a point from its Gaussian: less than walls are thick, or the side of a wall that "
         "comes into view in a doorway is registered to its other side.",
     )
-    lost_distance_m: float = Field(
-        0.5,
-        gt=0,
-        description="The same where that jumps, or hardly anything fits (weak_inlier_share): its guess was off. What this finds is "
-        "registered again within distance_m.",
-    )
-    fit_drop_max: float = Field(
-        0.03,
-        ge=0,
-        le=1,
-        description="Where the share of a scan that fits the map is smaller by more than this than that of the last scan, it is "
-        "registered from the other guesses too, and from all with two thirds of the distance; what fits best counts.",
-    )
-    iterations_max: int = Field(20, ge=1, description="Maximum number of iterations of a registration.")
-    memory_scans: int = Field(
-        50,
-        ge=1,
-        description="Number of scans after which a voxel without points is forgotten; the pose graph joins places seen again.",
-    )
-    weak_share: float = Field(
-        0.012,
-        ge=0,
-        le=1,
-        description="Minimum information in a scan's weakest direction, as a share of that in its strongest; less, as along "
-        "a bare corridor, and the registration is called weak.",
-    )
-    weak_inlier_share: float = Field(
-        0.4,
-        ge=0,
-        le=1,
-        description="Minimum share of a scan that fits the map; with less, the registration is called weak.",
-    )
-    passes: int = Field(
-        3,
-        ge=1,
-        le=5,
-        description="Maximum number of times that a sweep is put together and registered, each time by the motion that the last "
-        "one found; the second scan, with which the motion becomes known, at least three times.",
-    )
-    bend_deg: float = Field(
-        0.25,
-        ge=0,
-        description="A sweep is put together again where the motion that was found differs by more than this (degrees) over half a "
-        "sweep from the one by which it was put together.",
-    )
-    bend_m: float = Field(0.01, ge=0, description="The same in metres.")
 
 
 @dataclass(frozen=True)
@@ -237,7 +215,7 @@ class Refiner:
         self._range_m = range_m
         self._T_sensor_companion = T_sensor_companion
         self._T_level_odom = np.eye(4) if T_base_sensor is None else T_base_sensor
-        self._map = GaussianMap(settings.voxel_m, settings.memory_scans)
+        self._map = GaussianMap(settings.voxel_m, _MEMORY_SCANS)
         self._last: _Registered | None = None
         self._first: tuple[Scan, Scan | None] | None = None
         self._trusted_ns = 0
@@ -268,7 +246,7 @@ class Refiner:
                 if stamp_ns - last.stamp_ns > _BLIND_NS:
                     return None
                 # What is seen from a place that is guessed must not be taken for what was seen before.
-                self._map = GaussianMap(self._settings.voxel_m, self._settings.memory_scans)
+                self._map = GaussianMap(self._settings.voxel_m, _MEMORY_SCANS)
             self._first = None
         else:
             elapsed_ns = stamp_ns - last.stamp_ns
@@ -278,7 +256,7 @@ class Refiner:
             guesses = list(expected)
             change = may_change(stamp_ns - self._trusted_ns)
             # The second scan is registered from rest on, then with the motion that was found.
-            passes = self._settings.passes if self._first is None else max(self._settings.passes, 3)
+            passes = _PASSES_MAX if self._first is None else max(_PASSES_MAX, 3)
             for number in range(passes):
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)
@@ -369,19 +347,18 @@ class Refiner:
         seen = [pair for pair in self._seen if np.linalg.norm(pair[0][:3, 3] - T_odom_last[:3, 3]) < reach_m]
         seen = seen[:: -(-len(seen) // _RECALLED_MAX)]
         points_odom = np.concatenate([transforms.apply(T, points) for T, points in seen])
-        cloud_odom = GaussianCloud(points_odom, self._settings.resolution_m, self._settings.neighbours)
+        cloud_odom = GaussianCloud(points_odom, _RESOLUTION_M, _NEIGHBOURS)
         self._map.insert(cloud_odom, np.eye(4))
         return Seen(cloud_odom, self._T_level_odom)
 
     def _settled(self, source: GaussianCloud, guess: FloatArray) -> Aligned:
         """A registration from afar, then within the usual distance."""
-        settings = self._settings
-        lost = self._map.register(source, guess, settings.lost_distance_m, settings.iterations_max)
-        return self._map.register(source, lost.T_map_cloud, settings.distance_m, settings.iterations_max)
+        lost = self._map.register(source, guess, LOST_DISTANCE_M, _ITERATIONS_MAX)
+        return self._map.register(source, lost.T_map_cloud, self._settings.distance_m, _ITERATIONS_MAX)
 
     def _start_again(self, scan: Scan, companion: Scan | None, first: _Registered, motion_per_ns: FloatArray) -> None:
         """The map of the first scan alone, put together by a motion that was not known when it came."""
-        self._map = GaussianMap(self._settings.voxel_m, self._settings.memory_scans)
+        self._map = GaussianMap(self._settings.voxel_m, _MEMORY_SCANS)
         self._map.insert(self._put_together(scan, companion, first.stamp_ns, motion_per_ns), first.T_refined)
 
     def _put_together(
@@ -392,7 +369,7 @@ class Refiner:
         if companion is not None and self._T_sensor_companion is not None and self._settings.companion_points_max:
             most = self._settings.companion_points_max
             points.append(self._moved(companion, most, self._T_sensor_companion, stamp_ns, motion_per_ns))
-        return GaussianCloud(np.concatenate(points), self._settings.resolution_m, self._settings.neighbours)
+        return GaussianCloud(np.concatenate(points), _RESOLUTION_M, _NEIGHBOURS)
 
     def _register(
         self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray], change: "Change"
@@ -405,12 +382,11 @@ class Refiner:
         change: by how much a registration may differ from both; what differs more is refused: it matched another place that
             looks like this one.
         """
-        settings, near_m = self._settings, self._settings.distance_m
-        usual = max(settings.weak_inlier_share, self._inlier_share - settings.fit_drop_max)
+        near_m = self._settings.distance_m
+        usual = max(WEAK_INLIER_SHARE, self._inlier_share - _FIT_DROP_MAX)
         fit = self._best_fit(source, guesses, expected, change, (near_m, 2 / 3 * near_m), usual)
-        if fit.jumped or fit.aligned.inlier_share < settings.weak_inlier_share:
-            lost_m = settings.lost_distance_m
-            lost = self._best_fit(source, guesses, expected, change, (lost_m,), settings.weak_inlier_share)
+        if fit.jumped or fit.aligned.inlier_share < WEAK_INLIER_SHARE:
+            lost = self._best_fit(source, guesses, expected, change, (LOST_DISTANCE_M,), WEAK_INLIER_SHARE)
             # More of a scan lies within more: shares are compared at one distance.
             near = self._best_fit(source, [lost.aligned.T_map_cloud], expected, change, (near_m,), usual)
             fit = min(fit, near, key=lambda own: own.rank)
@@ -430,7 +406,7 @@ class Refiner:
         """The first registration that fits at least this share of a scan and is no jump; where none does, the best."""
         fits: list[_Fit] = []
         for distance_m, guess in product(distances_m, guesses):
-            found = self._map.register(source, guess, distance_m, self._settings.iterations_max)
+            found = self._map.register(source, guess, distance_m, _ITERATIONS_MAX)
             jumped = all(change.share_of(T, found.T_map_cloud) > 1.0 for T in expected)
             fits.append(_Fit(found, found.inlier_share > 0 and jumped))
             if not fits[-1].jumped and found.inlier_share >= share_min:
@@ -439,7 +415,7 @@ class Refiner:
 
     def _bends(self, change: FloatArray) -> bool:
         """Whether a sweep that was put together by a motion that is off by so much, a twist within its half, is bent."""
-        return _is_more_than(change, self._settings.bend_deg, self._settings.bend_m)
+        return _is_more_than(change, _BEND_DEG, _BEND_M)
 
     def _moved(
         self, scan: Scan, most: int, T_sensor_own: FloatArray, at_ns: int, motion_per_ns: FloatArray

@@ -106,7 +106,7 @@ def _known(odometry: Odometry, level: Level) -> KnownPoses:
 
 def _log(run: Run, registrations: list[Registration]) -> list[str]:
     """Record registrations; returns why some of them are weak."""
-    why_weak = [weakness(registration, run.settings.refinement) for registration in registrations]
+    why_weak = [weakness(registration) for registration in registrations]
     if run.log and run.recording:
         log_registrations(run.log, registrations, why_weak)
         run.recording.cut()

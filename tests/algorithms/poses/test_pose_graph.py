@@ -127,7 +127,7 @@ def test_the_first_pose_is_told_by_the_scans_after_it(drive: tuple[FloatArray, F
 def test_without_loops_the_drift_stays(drive: tuple[FloatArray, FloatArray, list[FloatArray]]) -> None:
     """What undoes it is the loops, not the registration of neighbours."""
     T_true, T_odometry, clouds = drive
-    along = close_loops(T_odometry, clouds, SETTINGS.model_copy(update={"loops_max": 0}))
+    along = close_loops(T_odometry, clouds, SETTINGS.model_copy(update={"near_m": 0.0}))
     assert not along.is_loop.any()
     assert off_m(along.corrected(T_odometry), T_true).max() > 0.05
 
@@ -175,7 +175,7 @@ def test_what_no_registration_holds_is_left_to_the_odometry() -> None:
     across = np.diag([1e5, 1e5, 1e5, 0.0, 1e5, 1e5])
     step = transforms.make_transform(translation=[0.4, 0.0, 0.0])
     edges = [_Edge(i, i + 1, Aligned(step, 0.9, across)) for i in range(11)]
-    solved = _solve(T_odometry, T_odometry, edges, PoseGraphSettings())
+    solved = _solve(T_odometry, T_odometry, edges)
     np.testing.assert_allclose(solved[:, 0, 3], T_odometry[:, 0, 3], atol=0.02)
     np.testing.assert_allclose(solved[:, 1, 3], 0.0, atol=0.002)
 
@@ -186,10 +186,8 @@ def test_a_false_loop_is_let_go_of() -> None:
     edges = [_Edge(i, i + 1, Aligned(transforms.invert(T[i]) @ T[i + 1], 0.9, held)) for i in range(19)]
     edges += [_Edge(i, i + 10, Aligned(np.eye(4), 0.9, held)) for i in (0, 2, 4, 6)]
     wrong = transforms.make_transform(Rotation.from_euler("z", 3, degrees=True), [0.6, -0.4, 0.0])
-    solved = _solve(T, T, [*edges, _Edge(5, 15, Aligned(wrong, 0.9, held))], PoseGraphSettings())
+    solved = _solve(T, T, [*edges, _Edge(5, 15, Aligned(wrong, 0.9, held))])
     np.testing.assert_allclose(solved[:, :3, 3], T[:, :3, 3], atol=0.01)
-    believed = _solve(T, T, [*edges, _Edge(5, 15, Aligned(wrong, 0.9, held))], PoseGraphSettings(loss_scale=1e6))
-    assert np.abs(believed[:, :3, 3] - T[:, :3, 3]).max() > 0.05
 
 
 @pytest.mark.parametrize(("slip_deg", "loop_share"), [(2.0, 0.9), (-4.0, 0.9), (-4.0, 0.45)])
@@ -205,7 +203,7 @@ def test_loops_that_agree_put_a_slip_of_the_way_right(slip_deg: float, loop_shar
 
     edges = [registered(T_odometry, i - back, i) for i in range(20) for back in (1, 2) if i >= back]
     edges += [registered(T_true, i, i + 10 + k, loop_share) for i in range(8) for k in (0, 1)]
-    solved = _solve(T_odometry, T_odometry, edges, PoseGraphSettings())
+    solved = _solve(T_odometry, T_odometry, edges)
     np.testing.assert_allclose(solved, T_true, atol=0.01)
 
 
