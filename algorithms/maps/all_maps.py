@@ -10,13 +10,12 @@ from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps.area_graph import (
     AreaGraph,
     AreaGraphSettings,
-    Bounds,
     Segmented,
     doorways_of,
     find_rooms,
     sides_of,
 )
-from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
+from ffmap.algorithms.maps.floor_plan import FloorPlan, draw_floor_plan
 from ffmap.algorithms.maps.grid import (
     GridMap,
     GridMapSettings,
@@ -25,8 +24,7 @@ from ffmap.algorithms.maps.grid import (
     draw_free,
     standing_stretches,
 )
-from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings, draft_rival
-from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
+from ffmap.algorithms.maps.rivals import Rival, draft_rival
 
 
 @dataclass(frozen=True)
@@ -37,9 +35,6 @@ class MapsSettings:
     wall_thickness: WallThicknessSettings
     grid_map: GridMapSettings
     area_graph: AreaGraphSettings
-    room_outlines: RoomOutlinesSettings
-    rival_maps: RivalMapsSettings
-    floor_plan: FloorPlanSettings
 
 
 @dataclass(frozen=True)
@@ -65,16 +60,14 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, worke
     immobile = Immobile(building.model.walls, cells, scans.votes, doors, windows)
     drafts = [draft_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness, knee_m)]
     for rival in Rival:
-        drafts.append(draft_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map, settings.rival_maps))
+        drafts.append(draft_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map))
     grid, *drawn = draw_free(drafts, scans.drive, settings.grid_map, knee_m, workers)
     standing = standing_stretches(immobile, settings.grid_map, knee_m)
-    bounds = Bounds((standing, *sides_of(doors), windows), settings.room_outlines)
+    bounds = (standing, *sides_of(doors), windows)
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map, bounds)
     # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
     rivals = {rival: own.cropped_to(grid) for rival, own in zip(Rival, drawn, strict=True)}
-    plan = draw_floor_plan(
-        standing, immobile, grid, scans.storey, settings.floor_plan, settings.wall_thickness, rooms.rooms
-    )
+    plan = draw_floor_plan(standing, immobile, grid, scans.storey, settings.wall_thickness, rooms.rooms)
     return Maps(grid, rooms, rivals, _compare_rooms(rivals[Rival.MIDDLE], scans, settings), plan)
 
 

@@ -30,12 +30,28 @@ from ffmap.algorithms.building.model import Doors
 from ffmap.algorithms.maps.areas import grown, largest
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.maps.mouths import find_mouths, join_open_areas
-from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, lay_on_faces
+from ffmap.algorithms.maps.room_outlines import Sides, lay_on_faces
 
 NO_DOORWAYS: FloatArray = np.zeros((0, 4, 2))
 NO_LINES: FloatArray = np.zeros((0, 2, 2))
 _EIGHT = np.ones((3, 3), bool)
 _MARGIN = 10  # cells around the free ones that stay in view
+_MOUTH_RATIO = 0.85
+"""Maximum width of an opening that parts two rooms where a wall would go on along it, as a share of
+what lies on either side."""
+_ENCLOSED_RATIO = 1.5
+"""Maximum width of all straight openings of a room, as a share of its own; what is more open is
+none."""
+_BLOCK_FILL_MIN = 0.25
+"""Minimum share of the square of its length that a compact block covers."""
+_BEAM_M = 0.15
+"""Half the width (m) of the narrowest room: what is narrower are rays that left through a gap."""
+_JAMB_M = 0.1
+"""A doorway is closed this far (m) into both jambs, whose place is not known better."""
+_BESIDE_DOOR_M = 0.4
+"""Maximum distance (m) of a room from the doorway that leads into it."""
+_SKELETON_M = 0.25
+"""Minimum distance (m) of the drawn Voronoi graph's edges from the obstacles."""
 
 
 class Segmented(StrEnum):
@@ -62,17 +78,6 @@ class AreaGraphSettings(StepSettings):
         le=1,
         description="The same where neither is, in any map: what else parts rooms there is straight from wall to wall.",
     )
-    mouth_ratio: float = Field(
-        0.85,
-        gt=0,
-        le=1,
-        description="The same where a wall would go on along the opening, as a share of what lies on either side.",
-    )
-    enclosed_ratio: float = Field(
-        1.5,
-        gt=0,
-        description="Maximum width of all straight openings of a room, as a share of its own; what is more open is none.",
-    )
     furniture_max_m: float = Field(
         1.2, ge=0, description="Maximum length (m) of what stands free and is furniture (alpha removal); 0: none. IV.D."
     )
@@ -81,27 +86,10 @@ class AreaGraphSettings(StepSettings):
         ge=0,
         description="The same of compact blocks, such as tables and cupboards, which are no walls by their shape; 0: none.",
     )
-    block_fill_min: float = Field(
-        0.25, gt=0, le=0.78, description="Minimum share of the square of its length that a compact block covers."
-    )
     room_min_m2: float = Field(
         1.0,
         ge=0,
         description="Minimum area (m²) of a room; smaller ones join the one that they open to, or are dropped.",
-    )
-    beam_m: float = Field(
-        0.15,
-        ge=0,
-        description="Half the width (m) of the narrowest room: what is narrower are rays that left through a gap.",
-    )
-    jamb_m: float = Field(
-        0.1, ge=0, description="A doorway is closed this far (m) into both jambs, whose place is not known better."
-    )
-    beside_door_m: float = Field(
-        0.4, gt=0, description="Maximum distance (m) of a room from the doorway that leads into it."
-    )
-    skeleton_m: float = Field(
-        0.25, ge=0, description="Minimum distance (m) of the drawn Voronoi graph's edges from the obstacles."
     )
 
     def without_alpha_removal(self) -> "AreaGraphSettings":
@@ -165,21 +153,13 @@ class AreaGraph:
         return [self.rooms[other].name for other in sorted(beside)]
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """The faces of walls, doors and windows that rooms' outlines are laid on where they run along them."""
-
-    faces: Sequence[Faces]
-    settings: RoomOutlinesSettings
-
-
 def find_rooms(
     grid: GridMap,
     settings: AreaGraphSettings,
     doorways: FloatArray = NO_DOORWAYS,
     windows: FloatArray = NO_LINES,
     path_map: FloatArray | None = None,
-    bounds: Bounds | None = None,
+    bounds: Sequence[Faces] | None = None,
 ) -> AreaGraph:
     """The Area Graph of a grid map.
 
@@ -187,11 +167,12 @@ def find_rooms(
     the grid, they part rooms whatever their width, and belong to none. windows: (W, 2, 2), through which no room is
     reached. path_map: (n, 2 or more) the robot's places, for a map that was made on the way: rooms that no passage
     joins to them are dropped, the edge of what was seen is no jamb, and what something hid within a room is part of it.
-    None for a map whose making is unknown. bounds: faces that outlines are laid on.
+    None for a map whose making is unknown. bounds: the faces of walls, doors and windows that outlines are laid
+    on where they run along them.
     """
     view = _View.of(grid)
     free = view.cells == Cell.FREE
-    closed = view.drawn(_across(doorways, grid.cell_m, settings.jamb_m)) | view.drawn(windows)
+    closed = view.drawn(_across(doorways, grid.cell_m, _JAMB_M)) | view.drawn(windows)
     furniture = _furniture(~free | closed, grid.cell_m, settings)
     open_cells = (free | furniture) & ~closed
     walls = ~free if path_map is None else (view.cells == Cell.OCCUPIED) | closed
@@ -202,21 +183,20 @@ def find_rooms(
     with_mouths = path_map is None and not len(doorways)
     label = _areas(open_cells, distance, nearest, walls, grid.cell_m, widest_m, with_mouths, settings)
     count = int(label.max(initial=0)) + 1
-    beside_m = settings.beside_door_m
-    sides = np.array([_sides(label, view, doorway, beside_m) for doorway in doorways], np.int32).reshape(-1, 2)
+    sides = np.array([_sides(label, view, doorway) for doorway in doorways], np.int32).reshape(-1, 2)
     openings = _openings(label, view)
     if path_map is not None:
-        label = _without_beams(label, settings.beam_m / grid.cell_m)
+        label = _without_beams(label, _BEAM_M / grid.cell_m)
         label = _reached(label, sides, [pair for pair, _ in openings], view.at(path_map[:, :2]))
         label = _reaching_on(label, walls & ~furniture)
         label = _with_niches(label, closed, settings.block_max_m / grid.cell_m)
     reach_m = 0.0 if path_map is None else grid.cell_m / 2  # such a map's walls run along the middle of their cells
-    removed, skeleton = view.centres(furniture & ~free), _voronoi(label, distance, nearest, view, settings.skeleton_m)
+    removed, skeleton = view.centres(furniture & ~free), _voronoi(label, distance, nearest, view, _SKELETON_M)
     numbers = np.flatnonzero(np.bincount(label.ravel()))
     numbers = numbers[numbers > 0]
     outlines = _outlines(label, numbers, view, reach_m)
     if bounds is not None:
-        outlines = lay_on_faces(outlines, bounds.faces, grid.cell_m, bounds.settings)
+        outlines = lay_on_faces(outlines, bounds, grid.cell_m)
     index, outlines = _by_size(numbers, outlines, count)
     door_rooms = tuple((int(a), int(b)) for a, b in index[sides])
     return AreaGraph(
@@ -360,7 +340,7 @@ def _furniture(obstacles: BoolArray, cell_m: float, settings: AreaGraphSettings)
             continue
         own = label[box] == number
         length_m = _length(own) * cell_m
-        compact = np.count_nonzero(own) * cell_m**2 >= settings.block_fill_min * length_m**2
+        compact = np.count_nonzero(own) * cell_m**2 >= _BLOCK_FILL_MIN * length_m**2
         removed[number] = length_m <= settings.furniture_max_m or (compact and length_m <= settings.block_max_m)
     return np.asarray(removed[label])
 
@@ -392,11 +372,11 @@ def _areas(
     lines, closed, ratio = NO_LINES, np.zeros(free.shape, bool), settings.passage_ratio
     if with_mouths:
         ratio = settings.opening_ratio
-        lines, closed = find_mouths(free, walls, cell_m, ratio=ratio, ratio_in_line=settings.mouth_ratio)
+        lines, closed = find_mouths(free, walls, cell_m, ratio=ratio, ratio_in_line=_MOUTH_RATIO)
         distance, nearest = _to_nearest_obstacle(free & ~closed)
     cells_min = settings.room_min_m2 / cell_m**2
     basins = _basins(free & ~closed, distance, nearest, walls | closed, ratio, widest_m / cell_m, cells_min)
-    label = join_open_areas(basins, lines, distance, enclosed=settings.enclosed_ratio, cells_min=cells_min)
+    label = join_open_areas(basins, lines, distance, enclosed=_ENCLOSED_RATIO, cells_min=cells_min)
     size = np.bincount(label.ravel())
     kept = np.flatnonzero(size >= cells_min)
     kept = kept[kept > 0]
@@ -484,7 +464,7 @@ def _near_wall(site: IntArray, walls: BoolArray) -> bool:
     return bool(walls[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].any())
 
 
-def _sides(label: IntArray, view: _View, doorway: FloatArray, beside_m: float) -> tuple[int, int]:
+def _sides(label: IntArray, view: _View, doorway: FloatArray) -> tuple[int, int]:
     """The areas in front of a doorway's sill and behind it; 0 for none."""
     a, b, b_back, a_back = doorway
     along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
@@ -494,7 +474,7 @@ def _sides(label: IntArray, view: _View, doorway: FloatArray, beside_m: float) -
         outwards = -outwards
     found = []
     for start, end, direction in ((a, b, outwards), (a_back, b_back, -outwards)):
-        steps = np.arange(1.0, beside_m / view.grid.cell_m) * view.grid.cell_m
+        steps = np.arange(1.0, _BESIDE_DOOR_M / view.grid.cell_m) * view.grid.cell_m
         places = start + np.linspace(0.2, 0.8, 7)[:, None] * (end - start)
         areas = label[view.at((places[:, None] + steps[:, None] * direction).reshape(-1, 2))]
         found.append(int(np.bincount(areas[areas > 0]).argmax()) if (areas > 0).any() else 0)

@@ -6,13 +6,11 @@ from typing import Protocol
 
 import numpy as np
 import shapely
-from pydantic import Field
 from shapely.geometry.base import BaseGeometry
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, main_direction_deg, turned
-from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.building.thickness import (
@@ -27,39 +25,36 @@ from ffmap.algorithms.maps.areas import closed, grown
 from ffmap.algorithms.maps.grid import Cell, GridMap, Immobile
 from ffmap.algorithms.scan.doors import DoorState
 
-
-class FloorPlanSettings(StepSettings):
-    """The vector floor plan."""
-
-    column_max_m: float = Field(
-        1.2, gt=0, description="Maximum width (m) of a column: what stands free and has a corner."
-    )
-    piece_min_m: float = Field(0.5, ge=0, description="Minimum length (m) of a piece of wall that stands alone.")
-    corner_m: float = Field(0.12, ge=0, description="Maximum distance (m) of two faces' ends that make a corner.")
-    drawn_share: float = Field(
-        0.5, ge=0, le=1, description="Minimum share of a stretch of wall that the grid map shows for it to be drawn."
-    )
-    tidy_m: float = Field(0.02, ge=0, description="Half the width (m) of gaps between walls that are closed.")
-    sliver_m2: float = Field(0.004, ge=0, description="Minimum area (m²) of a piece of wall.")
-    double_door_m: float = Field(1.25, gt=0, description="Maximum width (m) of a doorway with one leaf.")
-    leaf_share_min: float = Field(
-        0.6, gt=0, le=1, description="Minimum share of an open leaf's area that is seen for its door to get a swing."
-    )
-    leaf_low_m: float = Field(
-        0.4, ge=0, description="Minimum height above the floor (m) at which leaves are looked for."
-    )
-    leaf_high_m: float = Field(
-        1.8, gt=0, description="Maximum height above the floor (m) at which leaves are looked for."
-    )
-    leaf_min_deg: float = Field(20.0, ge=0, le=180, description="Minimum angle (degrees) of an open leaf to its sill.")
-    leaf_max_deg: float = Field(175.0, ge=0, le=180, description="Maximum angle (degrees) of an open leaf to its sill.")
-    leaf_thickness_m: float = Field(0.05, gt=0, description="Maximum distance (m) of a leaf's returns from its middle.")
-    hinge_m: float = Field(0.15, ge=0, description="Distance (m) from the hinge within which nothing tells of a leaf.")
-    wall_margin_m: float = Field(
-        0.1,
-        ge=0,
-        description="Distance (m) from the wall's face within which returns may be the wall's and tell of no leaf.",
-    )
+_COLUMN_MAX_M = 1.2
+"""Maximum width (m) of a column: what stands free and has a corner."""
+_PIECE_MIN_M = 0.5
+"""Minimum length (m) of a piece of wall that stands alone."""
+_CORNER_M = 0.12
+"""Maximum distance (m) of two faces' ends that make a corner."""
+_DRAWN_SHARE_MIN = 0.5
+"""Minimum share of a stretch of wall that the grid map shows for it to be drawn."""
+_TIDY_M = 0.02
+"""Half the width (m) of gaps between walls that are closed."""
+_SLIVER_M2 = 0.004
+"""Minimum area (m²) of a piece of wall."""
+_DOUBLE_DOOR_M = 1.25
+"""Maximum width (m) of a doorway with one leaf."""
+_LEAF_SHARE_MIN = 0.6
+"""Minimum share of an open leaf's area that is seen for its door to get a swing."""
+_LEAF_LOW_M = 0.4
+"""Minimum height above the floor (m) at which leaves are looked for."""
+_LEAF_HIGH_M = 1.8
+"""Maximum height above the floor (m) at which leaves are looked for."""
+_LEAF_MIN_DEG = 20.0
+"""Minimum angle (degrees) of an open leaf to its sill."""
+_LEAF_MAX_DEG = 175.0
+"""Maximum angle (degrees) of an open leaf to its sill."""
+_LEAF_THICKNESS_M = 0.05
+"""Maximum distance (m) of a leaf's returns from its middle."""
+_HINGE_M = 0.15
+"""Distance (m) from the hinge within which nothing tells of a leaf."""
+_WALL_MARGIN_M = 0.1
+"""Distance (m) from the wall's face within which returns may be the wall's and tell of no leaf."""
 
 
 class RoomOnPlan(Protocol):
@@ -123,7 +118,6 @@ def draw_floor_plan(
     immobile: Immobile,
     grid: GridMap,
     storey: Storey,
-    settings: FloorPlanSettings,
     thickness: WallThicknessSettings,
     rooms: Sequence[RoomOnPlan] = (),
 ) -> FloorPlan:
@@ -132,31 +126,31 @@ def draw_floor_plan(
     stretches: `grid_map.standing_stretches`. grid: the furniture-free one; what it does not show is not drawn.
     storey: the floor that open leaves stand on.
     """
-    stretches = stretches.select(_shown(stretches, grid, settings.drawn_share))
+    stretches = stretches.select(_shown(stretches, grid))
     doors = immobile.doors
     of_walls = part_walls(immobile.walls, thickness)
     parts = part_walls(stretches, thickness)
     usual_m = usual_thickness(parts, thickness.unseen_m)
-    assumed_m = _assumed_thickness(stretches, doors, usual_m, settings.corner_m)
+    assumed_m = _assumed_thickness(stretches, doors, usual_m)
     # A doorway is cut out of the wall as it is drawn, where both faces of that were seen.
     drawn_m = face_thickness(immobile.walls, of_walls)[doors.wall]
     cut_m = np.where(np.isfinite(drawn_m), drawn_m, doors.reveal_m)
-    columns, in_column = _columns(stretches, settings)
-    upright = _upright(immobile.votes, storey, settings)
+    columns, in_column = _columns(stretches)
+    upright = _upright(immobile.votes, storey)
     outlines = [_quad(doors.ends[d], doors.normal[d], float(cut_m[d])) for d in range(len(doors))]
     windows = [
         _quad(ends, normal, _thickness_at(ends, parts, stretches, usual_m))
         for ends, normal in zip(immobile.windows.ends, immobile.windows.normal, strict=True)
     ]
-    cuts = shapely.union_all([*(grown(o, settings.tidy_m / 2) for o in outlines), *windows, *columns])
-    in_wall = ~in_column & ~_fragments(stretches, settings)
-    solid = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m), settings)
-    assumed = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m), settings)
+    cuts = shapely.union_all([*(grown(o, _TIDY_M / 2) for o in outlines), *windows, *columns])
+    in_wall = ~in_column & ~_fragments(stretches)
+    solid = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m))
+    assumed = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m))
     solid = solid.difference(cuts)
     assumed = assumed.difference(cuts).difference(solid)
     return FloorPlan(
-        walls=tuple(_polygons(solid, settings.sliver_m2)),
-        assumed=tuple(_polygons(assumed, settings.sliver_m2)),
+        walls=tuple(_polygons(solid, _SLIVER_M2)),
+        assumed=tuple(_polygons(assumed, _SLIVER_M2)),
         columns=tuple(columns),
         doors=tuple(
             PlanDoor(
@@ -164,7 +158,7 @@ def draw_floor_plan(
                 sill=doors.ends[d],
                 closed=doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d],
                 state=DoorState(int(doors.state[d])),
-                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), upright, settings)
+                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), upright)
                 if doors.state[d] == DoorState.OPEN
                 else (),
             )
@@ -176,7 +170,7 @@ def draw_floor_plan(
     )
 
 
-def _shown(stretches: Walls, grid: GridMap, share_min: float) -> BoolArray:
+def _shown(stretches: Walls, grid: GridMap) -> BoolArray:
     """(W,) whether the grid shows most of each stretch; it leaves out what bounds no free space."""
     shown = np.zeros(len(stretches), bool)
     near = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -185,37 +179,35 @@ def _shown(stretches: Walls, grid: GridMap, share_min: float) -> BoolArray:
         places = ends[0] + np.linspace(0, 1, count)[:, None] * (ends[1] - ends[0])
         index = np.floor((places - grid.origin) / grid.cell_m).astype(int)[:, None] + near
         index = np.clip(index, 0, np.array(grid.cells.shape[::-1]) - 1)
-        shown[w] = (grid.cells[index[..., 1], index[..., 0]] == Cell.OCCUPIED).any(axis=1).mean() >= share_min
+        shown[w] = (grid.cells[index[..., 1], index[..., 0]] == Cell.OCCUPIED).any(axis=1).mean() >= _DRAWN_SHARE_MIN
     return shown
 
 
-def _assumed_thickness(stretches: Walls, doors: Doors, usual_m: float, near_m: float) -> FloatArray:
+def _assumed_thickness(stretches: Walls, doors: Doors, usual_m: float) -> FloatArray:
     """(W,) how thick the wall behind each stretch is taken for where one side was seen: as its doorways are deep."""
     assumed_m = np.full(len(stretches), usual_m)
     for w, (start, normal) in enumerate(zip(stretches.ends[:, 0], stretches.normal, strict=True)):
         off_m = np.abs((doors.ends - start) @ normal).max(axis=1)
-        own = (off_m < near_m) & (doors.normal @ normal > 0.5)
+        own = (off_m < _CORNER_M) & (doors.normal @ normal > 0.5)
         if own.any():
             assumed_m[w] = np.median(doors.reveal_m[own])
     return assumed_m
 
 
-def _bodies(
-    stretches: Walls, parts: WallParts, assumed_m: FloatArray, chosen: BoolArray, settings: FloorPlanSettings
-) -> BaseGeometry:
+def _bodies(stretches: Walls, parts: WallParts, assumed_m: FloatArray, chosen: BoolArray) -> BaseGeometry:
     """The union of the areas behind some parts of the faces, carried on around the corners of rooms."""
-    bodies, tidy_m = [], settings.tidy_m
+    bodies = []
     for p in np.flatnonzero(chosen):
         w = int(parts.wall[p])
         depth_m = float(parts.thickness_m[p]) if np.isfinite(parts.thickness_m[p]) else float(assumed_m[w])
         ends = parts.ends[p].copy()
         along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
         for end, outwards in ((0, -along), (1, along)):
-            corner = _corner_thickness(ends[end], outwards, w, stretches, parts, assumed_m, settings.corner_m)
+            corner = _corner_thickness(ends[end], outwards, w, stretches, parts, assumed_m)
             ends[end] = ends[end] + corner * outwards
         bodies.append(_quad(ends, stretches.normal[w], depth_m))
     joined = shapely.union_all(bodies)
-    return closed(joined, tidy_m).simplify(1e-3)
+    return closed(joined, _TIDY_M).simplify(1e-3)
 
 
 def _corner_thickness(
@@ -225,14 +217,13 @@ def _corner_thickness(
     stretches: Walls,
     parts: WallParts,
     assumed_m: FloatArray,
-    near_m: float,
 ) -> float:
     """How far a wall goes on beyond the end of its face: through the wall that it meets at a room's inner corner."""
     for o in range(len(stretches)):
         # The other face looks back along this one: both bound the same room.
         if o == w or stretches.normal[o] @ outwards > -0.5:
             continue
-        if np.linalg.norm(stretches.ends[o] - end, axis=1).min() < near_m:
+        if np.linalg.norm(stretches.ends[o] - end, axis=1).min() < _CORNER_M:
             own = parts.thickness_m[parts.wall == o]
             return float(np.nanmedian(own)) if np.isfinite(own).any() else float(assumed_m[o])
     return 0.0
@@ -251,12 +242,12 @@ def _thickness_at(ends: FloatArray, parts: WallParts, stretches: Walls, usual_m:
     return best
 
 
-def _columns(stretches: Walls, settings: FloorPlanSettings) -> tuple[list[shapely.Polygon], BoolArray]:
+def _columns(stretches: Walls) -> tuple[list[shapely.Polygon], BoolArray]:
     """Free-standing columns, and which stretches (W,) are their faces."""
     in_column = np.zeros(len(stretches), bool)
     if not len(stretches):
         return [], in_column
-    group = _groups(stretches, settings.corner_m)
+    group = _groups(stretches, _CORNER_M)
     columns = []
     for g in np.unique(group):
         members = np.flatnonzero(group == g)
@@ -271,17 +262,17 @@ def _columns(stretches: Walls, settings: FloorPlanSettings) -> tuple[list[shapel
         corners = np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]]) @ axes
         # A column's faces look away from each other; a niche's, or a small room's, look at each other.
         outward = np.einsum("ij,ij->i", ends.mean(axis=1) - corners.mean(axis=0), normal) > -1e-6
-        if max(high_x - low_x, high_y - low_y) <= settings.column_max_m and outward.all():
+        if max(high_x - low_x, high_y - low_y) <= _COLUMN_MAX_M and outward.all():
             columns.append(shapely.Polygon(corners))
             in_column[members] = True
     return columns, in_column
 
 
-def _fragments(stretches: Walls, settings: FloorPlanSettings) -> BoolArray:
+def _fragments(stretches: Walls) -> BoolArray:
     """(W,) which stretches stand alone and are short."""
-    group = _groups(stretches, settings.piece_min_m)
+    group = _groups(stretches, _PIECE_MIN_M)
     length_m = lengths_m(stretches.ends)
-    return np.bincount(group, length_m, len(stretches))[group] < settings.piece_min_m
+    return np.bincount(group, length_m, len(stretches))[group] < _PIECE_MIN_M
 
 
 def _groups(stretches: Walls, apart_m: float) -> IntArray:
@@ -295,24 +286,22 @@ def _groups(stretches: Walls, apart_m: float) -> IntArray:
     return group
 
 
-def _upright(votes: VoxelVotes, storey: Storey, settings: FloorPlanSettings) -> FloatArray:
+def _upright(votes: VoxelVotes, storey: Storey) -> FloatArray:
     """(n, 3) x, y and the height above the floor of the cubes that may be of leaves: neither floor nor ceiling."""
     label = votes.label
     places = votes.mean_position[(label != Label.FLOOR) & (label != Label.CEILING)]
     height_m = places[:, 2] - storey.ground_m(places[:, :2])
-    between = (height_m > settings.leaf_low_m) & (height_m < settings.leaf_high_m)
+    between = (height_m > _LEAF_LOW_M) & (height_m < _LEAF_HIGH_M)
     return np.column_stack([places[between, :2], height_m[between]])
 
 
-def _find_leaves(
-    sill: FloatArray, normal: FloatArray, depth_m: float, upright: FloatArray, settings: FloorPlanSettings
-) -> tuple[Leaf, ...]:
+def _find_leaves(sill: FloatArray, normal: FloatArray, depth_m: float, upright: FloatArray) -> tuple[Leaf, ...]:
     """The leaves of an open door, by what stands upright from one of its jambs, as long as the doorway is wide.
 
     Tried is every angle at every jamb to both sides; one leaf hangs at each jamb at most, and a single one at one of them.
     """
     width_m = float(np.linalg.norm(sill[1] - sill[0]))
-    double = width_m > settings.double_door_m
+    double = width_m > _DOUBLE_DOOR_M
     length_m = width_m / 2 if double else width_m
     points = upright[np.linalg.norm(upright[:, :2] - sill.mean(axis=0), axis=1) < 1.5 * width_m + depth_m]
     found: list[tuple[int, Leaf]] = []
@@ -320,40 +309,38 @@ def _find_leaves(
         candidates = []
         for side in (0.0, depth_m):
             hinge = sill[jamb] - side * normal
-            for angle in np.arange(settings.leaf_min_deg, settings.leaf_max_deg + 1.0, 5.0):
+            for angle in np.arange(_LEAF_MIN_DEG, _LEAF_MAX_DEG + 1.0, 5.0):
                 # Turning towards the front is counter-clockwise at one jamb and clockwise at the other.
                 towards = sill[1 - jamb] - sill[jamb]
                 front = float(np.sign(towards[0] * normal[1] - towards[1] * normal[0]))
                 swing = float(angle) * front * (1.0 if side == 0.0 else -1.0)
                 direction = turned(towards / width_m, swing)
                 # From there on a leaf is clear of the wall's own returns.
-                start_m = max(settings.wall_margin_m / max(abs(float(direction @ normal)), 1e-9), settings.hinge_m)
+                start_m = max(_WALL_MARGIN_M / max(abs(float(direction @ normal)), 1e-9), _HINGE_M)
                 if start_m > 0.5 * length_m:
                     continue
-                share = _covered(points - np.append(hinge, 0.0), direction, start_m, length_m, settings)
+                share = _covered(points - np.append(hinge, 0.0), direction, start_m, length_m)
                 candidates.append((share, Leaf(hinge, hinge + length_m * direction, swing, share)))
         if not candidates:
             continue
         share, leaf = max(candidates, key=lambda candidate: candidate[0])
-        if share >= settings.leaf_share_min:
+        if share >= _LEAF_SHARE_MIN:
             found.append((jamb, leaf))
     if not double and len(found) > 1:
         found = [max(found, key=lambda jamb_leaf: jamb_leaf[1].share)]
     return tuple(leaf for _, leaf in found)
 
 
-def _covered(
-    points: FloatArray, direction: FloatArray, start_m: float, length_m: float, settings: FloorPlanSettings
-) -> float:
+def _covered(points: FloatArray, direction: FloatArray, start_m: float, length_m: float) -> float:
     """Share of the 10 cm cells of an upright panel, between two distances from its hinge, that hold points seen from there."""
-    cell_m, low_m = 0.1, settings.leaf_low_m
+    cell_m = 0.1
     along = points[:, :2] @ direction
     across = np.abs(points[:, 0] * direction[1] - points[:, 1] * direction[0])
-    on = (across < settings.leaf_thickness_m) & (along > start_m) & (along < length_m)
+    on = (across < _LEAF_THICKNESS_M) & (along > start_m) & (along < length_m)
     columns = max(int((length_m - start_m) / cell_m), 1)
-    rows = int((settings.leaf_high_m - low_m) / cell_m)
+    rows = int((_LEAF_HIGH_M - _LEAF_LOW_M) / cell_m)
     column = np.minimum(((along[on] - start_m) / cell_m).astype(int), columns - 1)
-    row = np.minimum(((points[on, 2] - low_m) / cell_m).astype(int), rows - 1)
+    row = np.minimum(((points[on, 2] - _LEAF_LOW_M) / cell_m).astype(int), rows - 1)
     return len(np.unique(column * rows + row)) / (columns * rows)
 
 

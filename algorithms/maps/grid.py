@@ -26,6 +26,44 @@ from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.doors import DoorState
 
 DoorsDrawn = Literal["open", "as-seen", "closed"]
+_DOOR_MARGIN_M = 0.1
+"""A free doorway reaches this far (m) beyond both sides of its wall. IV.C."""
+_DOOR_GUESSED_M = 0.3
+"""Minimum free depth (m) behind a sill where a leaf or a wall seen from one side hides more.
+IV.C."""
+_GAP_MAX_M = 0.6
+"""Maximum width (m) of a gap beside or in a window's wall that is no passage."""
+_FOOT_M = 0.15
+"""Minimum height (m) above the floor of rays that prove an opening."""
+_PASSED_RAYS_MIN = 6
+"""Minimum rays that pass a wall's face at that height where it is open."""
+_PASSED_RATIO = 2.0
+"""Minimum number of rays that pass there for each that ends."""
+_CROSSED_RAYS_MIN = 5
+"""Minimum rays at that height that cross a cell for it not to be occupied."""
+_CROSSED_RATIO = 5.0
+"""Minimum number of rays that cross such a cell for each that ends."""
+_CROSSED_CELLS_MIN = 4
+"""Minimum number of such cells side by side."""
+_ENDS_CELLS = 2.5
+"""Maximum distance (cells) of a ray's end from a cell that it may have ended at."""
+_SILL_MIN_M = 0.3
+"""Minimum height (m) of a window's sill above the floor."""
+_RECESS_MAX_M = 0.6
+"""Maximum depth (m) of a window's recess, whose sides are no walls."""
+_RECESS_BESIDE_M = 0.12
+"""Maximum distance (m) of its sides from the window's ends."""
+_LEAF_ABOVE_M = 0.3
+"""Maximum height (m) above its door's head of what was seen of an open leaf."""
+_LEAF_BESIDE_M = 0.1
+"""Maximum distance (m) from the doorway of the reveal that an open leaf's face goes on over."""
+_BOUNDS_CELLS = 2
+"""Maximum distance (cells) from what rays crossed of a wall's cell that is drawn."""
+_BLIND_M = 1.0
+"""Maximum distance (m) from its way at which the robot may not see the floor."""
+_STEP_MAX_M = 0.5
+"""Maximum distance (m) of two places of the robot that its way joins: farther, poses are
+missing."""
 
 
 class GridMapSettings(StepSettings):
@@ -37,66 +75,16 @@ class GridMapSettings(StepSettings):
     doors: DoorsDrawn = Field(
         "open", description="Which doorways are free: open (all), as-seen (those that stood open), closed (none). IV.C."
     )
-    door_margin_m: float = Field(
-        0.1, ge=0, description="A free doorway reaches this far (m) beyond both sides of its wall. IV.C."
-    )
-    door_guessed_m: float = Field(
-        0.3,
-        ge=0,
-        description="Minimum free depth (m) behind a sill where a leaf or a wall seen from one side hides more. IV.C.",
-    )
     rays_min: int = Field(
         3, ge=1, description="Minimum returns, or cubes of wall, that bear out 5 cm of a wall's face. IV.C."
     )
     bridge_m: float = Field(
         0.25, ge=0, description="Maximum gap (m) that is closed in a wall between what was seen of it. IV.C."
     )
-    gap_max_m: float = Field(
-        0.6, ge=0, description="Maximum width (m) of a gap beside or in a window's wall that is no passage."
-    )
     floor_reach_m: float = Field(
         1.5,
         ge=0,
         description="Maximum distance (m) of what rays crossed from floor that was seen: floor hides under tables.",
-    )
-    foot_m: float = Field(0.15, ge=0, description="Minimum height (m) above the floor of rays that prove an opening.")
-    passed_min: int = Field(
-        6, ge=1, description="Minimum rays that pass a wall's face at that height where it is open."
-    )
-    passed_ratio: float = Field(2.0, ge=0, description="Minimum number of rays that pass there for each that ends.")
-    crossed_min: int = Field(
-        5, ge=1, description="Minimum rays at that height that cross a cell for it not to be occupied."
-    )
-    crossed_ratio: float = Field(
-        5.0, ge=0, description="Minimum number of rays that cross such a cell for each that ends."
-    )
-    crossed_cells: int = Field(4, ge=1, description="Minimum number of such cells side by side.")
-    ends_cells: float = Field(
-        2.5, gt=0, description="Maximum distance (cells) of a ray's end from a cell that it may have ended at."
-    )
-    sill_min_m: float = Field(0.3, ge=0, description="Minimum height (m) of a window's sill above the floor.")
-    recess_max_m: float = Field(
-        0.6, ge=0, description="Maximum depth (m) of a window's recess, whose sides are no walls."
-    )
-    recess_beside_m: float = Field(0.12, ge=0, description="Maximum distance (m) of its sides from the window's ends.")
-    leaf_above_m: float = Field(
-        0.3, ge=0, description="Maximum height (m) above its door's head of what was seen of an open leaf."
-    )
-    leaf_beside_m: float = Field(
-        0.1,
-        ge=0,
-        description="Maximum distance (m) from the doorway of the reveal that an open leaf's face goes on over.",
-    )
-    bounds_cells: int = Field(
-        2, ge=1, description="Maximum distance (cells) from what rays crossed of a wall's cell that is drawn."
-    )
-    blind_m: float = Field(
-        1.0, ge=0, description="Maximum distance (m) from its way at which the robot may not see the floor."
-    )
-    step_max_m: float = Field(
-        0.5,
-        gt=0,
-        description="Maximum distance (m) of two places of the robot that its way joins: farther, poses are missing.",
     )
 
 
@@ -202,9 +190,8 @@ def draft_furniture_free(
     parts = part_walls(immobile.walls, thickness)
     # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
     guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall]) | (doors.state == DoorState.CLOSED)
-    reach_m = np.where(guessed, np.maximum(doors.reveal_m, settings.door_guessed_m), doors.reveal_m)
-    margin_m, inset_m = settings.door_margin_m, settings.cell_m
-    doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], margin_m, inset_m) for d in range(len(doors))]
+    reach_m = np.where(guessed, np.maximum(doors.reveal_m, _DOOR_GUESSED_M), doors.reveal_m)
+    doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], settings.cell_m) for d in range(len(doors))]
     for doorway in doorways:
         canvas.draw_area(doorway, Cell.UNKNOWN)
     for d in range(len(doors)):
@@ -291,17 +278,16 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings, knee_m: fl
     owner: list[int] = []
     found: list[FloatArray] = []
     for w, face in enumerate(segments(walls)):
-        stands, passed = _columns(
-            cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64), settings, knee_m
-        )
+        counts = cells.counts[cells.first[w] : cells.first[w + 1]].astype(np.float64)
+        stands, passed = _columns(counts, settings.rays_min, knee_m)
         middles = face.at((np.arange(len(stands)) + 0.5) * CELL_M)
         if tree is not None:
             stands |= tree.query_ball_point(middles, AT_FACE_M, return_length=True) >= settings.rays_min
-        none = _in_window_reveal(middles, face.normal, immobile.windows, settings)
+        none = _in_window_reveal(middles, face.normal, immobile.windows)
         none |= passed
         # What only all scans together show was proven to stand up to the ceiling, or to be a wall with two sides: no leaf does.
         if walls.scan_count[w]:
-            none |= _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors, settings)
+            none |= _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
         stands &= ~none
         # A face ends at a corner, up to which it is carried on as over any other gap.
         bridge = cells_in(settings.bridge_m)
@@ -317,7 +303,7 @@ def standing_stretches(immobile: Immobile, settings: GridMapSettings, knee_m: fl
     return replace(walls.select(np.array(owner, np.int64)), ends=np.array(found).reshape(-1, 2, 2))
 
 
-def _columns(counts: FloatArray, settings: GridMapSettings, knee_m: float) -> tuple[BoolArray, BoolArray]:
+def _columns(counts: FloatArray, rays_min: int, knee_m: float) -> tuple[BoolArray, BoolArray]:
     """(c,) whether returns bear each column of a face out, and whether rays passed it down to the floor."""
     on = returns_at_face(counts)
     near = np.convolve(on.sum(axis=1), np.ones(3))[1:-1]
@@ -325,44 +311,43 @@ def _columns(counts: FloatArray, settings: GridMapSettings, knee_m: float) -> tu
     on_low, passed_low = (
         np.convolve(rays[:, low].sum(axis=1), np.ones(3))[1:-1] for rays in (on, counts[..., THROUGH])
     )
-    return near >= settings.rays_min, (passed_low >= settings.passed_min) & (
-        passed_low > settings.passed_ratio * on_low
-    )
+    passed = (passed_low >= _PASSED_RAYS_MIN) & (passed_low > _PASSED_RATIO * on_low)
+    return near >= rays_min, passed
 
 
-def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows, settings: GridMapSettings) -> BoolArray:
+def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) -> BoolArray:
     """(c,) whether places (c, 2) of a face lie in the recess of a window with a sill, of whose wall it is no side."""
     within = np.zeros(len(places), bool)
     for window, bottom_m in zip(segments(windows), windows.bottom_m, strict=True):
-        if bottom_m < settings.sill_min_m or abs(normal @ window.normal) > 0.9:  # parallel, to 26°
+        if bottom_m < _SILL_MIN_M or abs(normal @ window.normal) > 0.9:  # parallel, to 26°
             continue
         behind_m = -window.before_m(places)
-        within |= (behind_m > 0) & (behind_m < settings.recess_max_m) & window.beside(places, settings.recess_beside_m)
+        within |= (behind_m > 0) & (behind_m < _RECESS_MAX_M) & window.beside(places, _RECESS_BESIDE_M)
     return within
 
 
-def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors, settings: GridMapSettings) -> BoolArray:
+def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors) -> BoolArray:
     """(c,) which places (c, 2) of a face belong to a leaf that stands open, beyond the reveal that it carries on.
 
     A face whose every place lies within a leaf's length of a jamb, and that ends where the door does, is no wall.
     """
     leaf = np.zeros(len(places), bool)
-    may_be = (doors.state == DoorState.OPEN) & (top_m < doors.head_m + settings.leaf_above_m)
+    may_be = (doors.state == DoorState.OPEN) & (top_m < doors.head_m + _LEAF_ABOVE_M)
     for doorway, reveal_m in zip(segments(doors.select(may_be)), doors.reveal_m[may_be], strict=True):
         behind_m = -doorway.before_m(places)
-        beyond = (behind_m < -settings.leaf_beside_m) | (behind_m > reveal_m + settings.leaf_beside_m)
-        reach_m = doorway.length_m + reveal_m + settings.leaf_beside_m
+        beyond = (behind_m < -_LEAF_BESIDE_M) | (behind_m > reveal_m + _LEAF_BESIDE_M)
+        reach_m = doorway.length_m + reveal_m + _LEAF_BESIDE_M
         for jamb in doorway.at(np.array([0.0, doorway.length_m])):
             if np.linalg.norm(places - jamb, axis=1).max() < reach_m:
                 leaf |= beyond
     return leaf
 
 
-def _doorway(ends: FloatArray, normal: FloatArray, depth_m: float, margin_m: float, inset_m: float) -> FloatArray:
+def _doorway(ends: FloatArray, normal: FloatArray, depth_m: float, inset_m: float) -> FloatArray:
     """(4, 2) corners of what a doorway leaves free, around its sill."""
     sill = Segment.between(ends, normal)
     left, right = sill.at(np.array([inset_m, sill.length_m - inset_m]))
-    front, back = margin_m * normal, -(depth_m + margin_m) * normal
+    front, back = _DOOR_MARGIN_M * normal, -(depth_m + _DOOR_MARGIN_M) * normal
     return np.array([left + front, right + front, right + back, left + back])
 
 
@@ -396,8 +381,7 @@ class _Layer:
         # Glass stops rays: what lies behind belongs to another world.
         for ends in draft.windows.ends:
             canvas.draw_line(ends, Cell.OCCUPIED)
-        gap_max_m = settings.gap_max_m
-        for ends in [*_glazed(draft.faces, draft.windows), *lengthened(draft.windows.ends, gap_max_m)]:
+        for ends in [*_glazed(draft.faces, draft.windows), *lengthened(draft.windows.ends, _GAP_MAX_M)]:
             canvas.close_gaps(ends, draft.doorways)
         self.spanned = canvas.first, canvas.first + canvas.cells.shape[::-1]
         self.barred = canvas.cells == Cell.OCCUPIED
@@ -416,17 +400,17 @@ class _Layer:
 
     def finished(self, bounded: BoolArray, path: FloatArray) -> GridMap:
         """bounded: where rays came close to their end, or over known floor again. path: (n, 2) the robot's places."""
-        draft, settings, supported = self._draft, self._settings, self.supported
-        if reach := _cells_reached(settings):
+        draft, supported = self._draft, self.supported
+        if reach := _cells_reached(self._settings):
             near = (binary_closing(bounded, np.ones((3, 3))) | supported) & self.crossed
             supported = binary_dilation(supported, iterations=reach, mask=near)
         canvas = deepcopy(draft.canvas)
         if len(draft.faces):
-            visible = binary_dilation(self.crossed, np.ones((3, 3)), iterations=settings.bounds_cells)
+            visible = binary_dilation(self.crossed, np.ones((3, 3)), iterations=_BOUNDS_CELLS)
             canvas.cells[~visible] = Cell.UNKNOWN
         canvas.cells[supported] = Cell.FREE
         for step in np.stack([path[:-1], path[1:]], axis=1):
-            if np.linalg.norm(step[1] - step[0]) < settings.step_max_m:
+            if np.linalg.norm(step[1] - step[0]) < _STEP_MAX_M:
                 canvas.draw_line(step, Cell.FREE)
         canvas.draw_points(path, Cell.FREE)
         for doorway in draft.doorways:
@@ -501,7 +485,7 @@ class _Canvas:
             row, column = np.clip(self._index(places + side)[:, ::-1], 0, np.array(self.cells.shape) - 1).T
             stands |= self.cells[row, column] == Cell.OCCUPIED
         for first, last in stretches(~stands, 0):
-            bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < self._settings.gap_max_m
+            bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < _GAP_MAX_M
             if bounded and not any(_in_rectangle(places[first : last + 1], doorway).any() for doorway in doorways):
                 self.draw_line(places[[first - 1, last + 1]], Cell.OCCUPIED)
 
@@ -531,16 +515,12 @@ class _Canvas:
             column, row = index[self._in_grid(index)].T
             across[row, column] = Segment.between(ends).normal
         counts = np.zeros((*self.cells.shape, 2), np.int32)
-        between_m = (self._settings.foot_m, knee_m)
         for block in drive.blocks():
-            _count_crossings(
-                self.cells, across, counts, Rays.of(block), self.frame, between_m, self._settings.ends_cells
-            )
+            _count_crossings(self.cells, across, counts, Rays.of(block), self.frame, knee_m)
         ended, crossed = counts[..., 0], counts[..., 1]
-        settings = self._settings
-        open_cells = (crossed >= settings.crossed_min) & (crossed > settings.crossed_ratio * ended)
+        open_cells = (crossed >= _CROSSED_RAYS_MIN) & (crossed > _CROSSED_RATIO * ended)
         run, _ = label(open_cells, np.ones((3, 3)))
-        self.cells[open_cells & (np.bincount(run.ravel()) >= settings.crossed_cells)[run]] = Cell.UNKNOWN
+        self.cells[open_cells & (np.bincount(run.ravel()) >= _CROSSED_CELLS_MIN)[run]] = Cell.UNKNOWN
 
     @property
     def frame(self) -> _Frame:
@@ -553,7 +533,7 @@ class _Canvas:
         index = self._index(path_map)
         index = index[self._in_grid(index)]
         start[index[:, 1], index[:, 0]] = True
-        start = binary_dilation(start, iterations=int(self._settings.blind_m / self._cell_m)) & low
+        start = binary_dilation(start, iterations=int(_BLIND_M / self._cell_m)) & low
         return np.asarray(binary_propagation(start, np.ones((3, 3)), low))
 
     def _index(self, places: FloatArray) -> IntArray:
@@ -575,15 +555,14 @@ def _count_crossings(
     counts: IntArray,
     rays: Rays,
     frame: _Frame,
-    between_m: tuple[float, float],
-    ends_cells: float,
+    knee_m: float,
 ) -> None:  # pragma: no cover
     """For each occupied cell the rays that end in it or beside it, and those that cross it; in cells, but for heights.
 
     A ray that runs along a line, close before it, meets its cells but does not cross it.
 
-    across: (rows, columns, 2) at right angles to the line in each cell. between_m: the heights above the floor, as its scan saw
-    that, at which a crossing counts.
+    across: (rows, columns, 2) at right angles to the line in each cell. A crossing counts at a height from `_FOOT_M` to knee_m
+    above the floor, as its scan saw that.
     """
     rows, columns = cells.shape
     origin, starts, end, floors = rays.origin, rays.starts, rays.end, rays.floors
@@ -603,13 +582,13 @@ def _count_crossings(
                 if column < 0 or row < 0 or column >= columns or row >= rows:
                     break
                 cell = row * columns + column
-                if cell == last or cells[row, column] != 0 or height < between_m[0] or height > between_m[1]:
+                if cell == last or cells[row, column] != 0 or height < _FOOT_M or height > knee_m:
                     continue
                 last = cell
                 behind = (1 - t) * abs(dx * across[row, column, 0] + dy * across[row, column, 1])
-                if behind > ends_cells:
+                if behind > _ENDS_CELLS:
                     counts[row, column, 1] += 1
-                elif length * (1 - t) <= ends_cells:
+                elif length * (1 - t) <= _ENDS_CELLS:
                     counts[row, column, 0] += 1
 
 

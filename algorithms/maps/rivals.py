@@ -7,16 +7,21 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from pydantic import Field
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import Windows
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.maps.grid import Draft, GridMapSettings, draft_cells
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import ScanLabelling
+
+_BELOW_CEILING_M = 0.5
+"""Distance (m) of the upper slice below the ceiling. IV.C."""
+_SLICE_M = 0.1
+"""Thickness (m) of both slices. IV.C."""
+_HITS_MIN = 3
+"""Minimum returns that occupy a cell. IV.C."""
 
 
 class Rival(StrEnum):
@@ -26,14 +31,6 @@ class Rival(StrEnum):
     MIDDLE = "middle"  # a slice halfway up, as of a 2-D lidar: the normal map (Fig. 9d)
     UPMOST = "upmost"  # the highest vertical structure of each point line (Fig. 6a)
     BOTTOMMOST = "bottommost"  # the lowest (Fig. 6b)
-
-
-class RivalMapsSettings(StepSettings):
-    """The maps that the paper compares with (paper, IV.C, Fig. 9c and 9d; Fig. 6)."""
-
-    below_ceiling_m: float = Field(0.5, ge=0, description="Distance (m) of the upper slice below the ceiling. IV.C.")
-    slice_m: float = Field(0.1, gt=0, description="Thickness (m) of both slices. IV.C.")
-    hits_min: int = Field(3, ge=1, description="Minimum returns that occupy a cell. IV.C.")
 
 
 @dataclass(frozen=True)
@@ -47,15 +44,16 @@ class RivalReturns:
     rival: UInt8Array
 
     @classmethod
-    def of(cls, points_level: FloatArray, labelling: ScanLabelling, settings: RivalMapsSettings) -> "RivalReturns":
+    def of(cls, points_level: FloatArray, labelling: ScanLabelling) -> "RivalReturns":
         """Those of a scan with these returns (n, 3). A slice needs a ceiling: a scan that saw none has none."""
         below_m = below_ceiling(points_level, labelling.ceiling_planes)
-        upper_m, slice_m = settings.below_ceiling_m, settings.slice_m
         structures, samples = labelling.structures, labelling.lines.samples
         rows: dict[Rival, IntArray] = {
-            Rival.BELOW_CEILING: np.flatnonzero((below_m > upper_m) & (below_m < upper_m + slice_m)),
+            Rival.BELOW_CEILING: np.flatnonzero(
+                (below_m > _BELOW_CEILING_M) & (below_m < _BELOW_CEILING_M + _SLICE_M)
+            ),
             # Halfway up a return is as far from the floor as from the ceiling.
-            Rival.MIDDLE: np.flatnonzero(np.abs(labelling.height_m - below_m) < slice_m),
+            Rival.MIDDLE: np.flatnonzero(np.abs(labelling.height_m - below_m) < _SLICE_M),
         }
         sample = np.arange(samples.shape[1])
         for rival, structure in ((Rival.UPMOST, structures.upmost), (Rival.BOTTOMMOST, structures.bottommost)):
@@ -88,12 +86,11 @@ def draft_rival(
     votes: VoxelVotes,
     windows: Windows,
     drive: Drive,
-    grid: GridMapSettings,
-    settings: RivalMapsSettings,
+    settings: GridMapSettings,
 ) -> Draft:
     """One of the maps as a grid, to be drawn like the furniture-free one but for what is occupied.
 
     votes: sums of `RivalCounter.votes`. windows: behind them nothing is free; the paper removed that by hand.
     """
-    occupied = votes.counts[:, list(Rival).index(rival)] >= settings.hits_min
-    return draft_cells(votes.cube_index[occupied, :2], windows, drive, grid)
+    occupied = votes.counts[:, list(Rival).index(rival)] >= _HITS_MIN
+    return draft_cells(votes.cube_index[occupied, :2], windows, drive, settings)

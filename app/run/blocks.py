@@ -200,7 +200,7 @@ def _label(
     watch.lap("labelling")
     metrics = scan_metrics(ranges, labelling, watch.milliseconds)
     features = extract_planes(index, placed, labelling)
-    rivals = RivalReturns.of(placed.points_level, labelling, job.settings.rival_maps)
+    rivals = RivalReturns.of(placed.points_level, labelling)
     spooled = SpooledScan.of(index, scan, placed, labelling, rivals, ray_rows(cloud, labelling))
     T_level_base = transforms.invert(placed.T_map_level) @ placed.T_map_base
     if log:

@@ -40,10 +40,7 @@ from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.windows import WindowsSettings
 from ffmap.algorithms.maps.all_maps import MapsSettings
 from ffmap.algorithms.maps.area_graph import AreaGraphSettings
-from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
-from ffmap.algorithms.maps.rivals import RivalMapsSettings
-from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
 from ffmap.algorithms.poses.odometry import OdometrySettings
 from ffmap.algorithms.poses.pose_graph import PoseGraphSettings
 from ffmap.algorithms.poses.refinement import RefinementSettings
@@ -95,9 +92,6 @@ class Settings(StepSettings):
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()
-    room_outlines: RoomOutlinesSettings = RoomOutlinesSettings()
-    rival_maps: RivalMapsSettings = RivalMapsSettings()
-    floor_plan: FloorPlanSettings = FloorPlanSettings()
     halo: HaloSettings = HaloSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
 

@@ -9,10 +9,8 @@ from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps.all_maps import MapsSettings, draw_maps
 from ffmap.algorithms.maps.area_graph import AreaGraphSettings, Segmented
-from ffmap.algorithms.maps.floor_plan import FloorPlanSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
-from ffmap.algorithms.maps.rivals import Rival, RivalMapsSettings
-from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings
+from ffmap.algorithms.maps.rivals import Rival
 from tests.algorithms.building.test_fusion import SETTINGS, driven
 from tests.two_rooms import TwoRooms
 
@@ -21,9 +19,6 @@ MAPS = MapsSettings(
     WallThicknessSettings(),
     GridMapSettings(),
     AreaGraphSettings(),
-    RoomOutlinesSettings(),
-    RivalMapsSettings(),
-    FloorPlanSettings(),
 )
 
 

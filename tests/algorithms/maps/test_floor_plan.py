@@ -21,7 +21,7 @@ from ffmap.algorithms.building.thickness import (
     usual_thickness,
 )
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.maps.floor_plan import FloorPlan, FloorPlanSettings, draw_floor_plan
+from ffmap.algorithms.maps.floor_plan import FloorPlan, draw_floor_plan
 from ffmap.algorithms.maps.grid import GridMapSettings, standing_stretches
 from ffmap.algorithms.scan.doors import DoorState
 from tests.drawing import draw_furniture_free
@@ -42,7 +42,7 @@ def plan_of(rooms: TwoRooms, floor_m: float = 0.0) -> FloorPlan:
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS, KNEE_M)
     stretches = standing_stretches(immobile, GridMapSettings(), KNEE_M)
     storey = Storey.of(immobile.votes, (), LevelsSettings())
-    return draw_floor_plan(stretches, immobile, grid, storey, FloorPlanSettings(), THICKNESS)
+    return draw_floor_plan(stretches, immobile, grid, storey, THICKNESS)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 25.0, 160.0])
@@ -227,5 +227,5 @@ def test_an_empty_building_has_an_empty_plan() -> None:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS, KNEE_M)
     nothing = immobile.walls.select(np.zeros(0, int))
-    plan = draw_floor_plan(nothing, immobile, grid, Storey.of(immobile.votes, (), LevelsSettings()), FloorPlanSettings(), THICKNESS)
+    plan = draw_floor_plan(nothing, immobile, grid, Storey.of(immobile.votes, (), LevelsSettings()), THICKNESS)
     assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())

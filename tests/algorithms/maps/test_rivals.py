@@ -10,13 +10,12 @@ from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings, draw_free
-from ffmap.algorithms.maps.rivals import Rival, RivalCounter, RivalMapsSettings, RivalReturns, draft_rival
+from ffmap.algorithms.maps.rivals import _HITS_MIN, Rival, RivalCounter, RivalReturns, draft_rival
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.summary import extract
 from tests import synthetic
 
 KNEE_M = BuildingSettings().knee_m
-SETTINGS = RivalMapsSettings()
 CELL_M = 0.05
 
 
@@ -35,12 +34,12 @@ def counted(scans: list[tuple[PlacedScan, ScanLabelling]]) -> VoxelVotes:
     counter = RivalCounter(CELL_M)
     for placed, labelling in scans:
         points_map = placed.to_map(placed.points_level)
-        counter.add(points_map, RivalReturns.of(placed.points_level, labelling, SETTINGS))
+        counter.add(points_map, RivalReturns.of(placed.points_level, labelling))
     return counter.votes()
 
 
 def cells_of(votes: VoxelVotes, rival: Rival) -> np.ndarray:
-    strong = votes.counts[:, list(Rival).index(rival)] >= SETTINGS.hits_min
+    strong = votes.counts[:, list(Rival).index(rival)] >= _HITS_MIN
     return (votes.cube_index[strong, :2] + 0.5) * CELL_M
 
 
@@ -101,7 +100,7 @@ def test_rivals_are_drawn_and_freed_by_rays(scans):
     drive = Drive(np.array([placed.origin_level for placed, _ in scans]), lambda: blocks)
     for rival in Rival:
         (grid,) = draw_free(
-            [draft_rival(rival, counted(scans), NO_WINDOWS, drive, GridMapSettings(), SETTINGS)],
+            [draft_rival(rival, counted(scans), NO_WINDOWS, drive, GridMapSettings())],
             drive,
             GridMapSettings(),
             KNEE_M,

@@ -10,15 +10,14 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
-from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, Bounds, doorways_of, find_rooms, sides_of
+from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, doorways_of, find_rooms, sides_of
 from ffmap.algorithms.maps.grid import GridMapSettings, standing_stretches
-from ffmap.algorithms.maps.room_outlines import RoomOutlinesSettings, Sides, lay_on_faces
+from ffmap.algorithms.maps.room_outlines import Sides, lay_on_faces
 from tests.drawing import draw_furniture_free
 from tests.two_rooms import SIZE_M, TwoRooms
 
 KNEE_M = BuildingSettings().knee_m
 CELL_M = 0.05
-OUTLINES = RoomOutlinesSettings()
 L_SHAPE = np.array([[0, 0], [6, 0], [6, 2.5], [3.5, 2.5], [3.5, 5], [0, 5]], float)
 PILLAR = np.array([[1, 1], [1, 1.4], [1.4, 1.4], [1.4, 1]], float)
 
@@ -51,7 +50,7 @@ def building(rooms: TwoRooms, with_faces: bool) -> AreaGraph:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings(), KNEE_M)
     faces = (standing_stretches(immobile, GridMapSettings(), KNEE_M), *sides_of(immobile.doors), immobile.windows)
-    bounds = Bounds(faces, OUTLINES) if with_faces else None
+    bounds = faces if with_faces else None
     doorways = doorways_of(immobile.doors)
     return find_rooms(grid, AreaGraphSettings(), doorways, immobile.windows.ends, drive.path_map, bounds)
 
@@ -83,7 +82,7 @@ def test_rooms_end_at_the_faces_of_their_walls(turn_deg: float) -> None:
 @pytest.mark.parametrize("short_m", [0.0, 0.06])
 def test_inner_and_outer_corners_and_pillars_are_met(turn_deg: float, short_m: float) -> None:
     room = shapely.Polygon(turned(L_SHAPE, turn_deg), [turned(PILLAR, turn_deg)])
-    (laid,) = lay_on_faces([in_cells(room)], [faces_of(room, short_m)], CELL_M, OUTLINES)
+    (laid,) = lay_on_faces([in_cells(room)], [faces_of(room, short_m)], CELL_M)
     assert laid.symmetric_difference(room).area < 1e-4
     assert len(shapely.get_coordinates(laid)) == len(shapely.get_coordinates(room))
 
@@ -92,12 +91,12 @@ def test_what_no_face_bounds_stays_where_it_was_without_steps() -> None:
     room = shapely.Polygon(turned(L_SHAPE, 20.0))
     cells, faces = in_cells(room), faces_of(room)
     known = np.linalg.norm(faces.ends.mean(axis=1) - turned(np.array([6.0, 1.25]), 20.0), axis=1) > 0.1
-    (laid,) = lay_on_faces([cells], [Sides(faces.ends[known], faces.normal[known])], CELL_M, OUTLINES)
+    (laid,) = lay_on_faces([cells], [Sides(faces.ends[known], faces.normal[known])], CELL_M)
     assert laid.symmetric_difference(room).area < 2.5 * CELL_M
     assert len(laid.exterior.coords) < 12
     # A face that the room does not reach draws nothing to itself, nor does one that the room goes around.
     far = Sides(np.array([[[0.0, -0.3], [6.0, -0.3]], [[1.0, 1.0], [2.0, 1.0]]]), np.array([[0.0, 1.0], [0.0, 1.0]]))
-    (same,) = lay_on_faces([shapely.Polygon(L_SHAPE)], [far], CELL_M, OUTLINES)
+    (same,) = lay_on_faces([shapely.Polygon(L_SHAPE)], [far], CELL_M)
     assert same.equals(shapely.Polygon(L_SHAPE))
 
 
@@ -107,7 +106,7 @@ def test_rooms_on_both_sides_of_a_thin_wall_do_not_overlap() -> None:
         cells = [shapely.box(-0.03, -0.02, 4.02, 3.03), shapely.box(-0.01, 3.03, 4.03, 6.04)]
         ends: FloatArray = np.concatenate([faces_of(room).ends for room in rooms])
         normal: FloatArray = np.concatenate([faces_of(room).normal for room in rooms])
-        laid = lay_on_faces(cells, [Sides(ends, normal)], CELL_M, OUTLINES)
+        laid = lay_on_faces(cells, [Sides(ends, normal)], CELL_M)
         assert laid[0].intersection(laid[1]).area < 1e-9
         for own, true in zip(laid, rooms, strict=True):
             assert own.symmetric_difference(true).area < 1e-3
@@ -125,7 +124,7 @@ def test_no_room_is_lost_whatever_faces_there_are() -> None:
         ends = np.cumsum(rng.uniform(-2.0, 3.0, (count, 2, 2)), axis=1)
         along = ends[:, 1] - ends[:, 0]
         normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
-        laid = lay_on_faces(rooms, [Sides(ends, normal)], CELL_M, OUTLINES)
+        laid = lay_on_faces(rooms, [Sides(ends, normal)], CELL_M)
         for own, before in zip(laid, rooms, strict=True):
             assert own.is_valid
             assert own.area > 0.4 * before.area
@@ -135,4 +134,4 @@ def test_no_room_is_lost_whatever_faces_there_are() -> None:
     between = Sides(
         np.array([[[0.0, 0.09], [3.0, 0.09]], [[3.0, 0.16], [0.0, 0.16]]]), np.array([[0.0, 1.0], [0.0, -1.0]])
     )
-    assert lay_on_faces([narrow], [between], CELL_M, OUTLINES)[0].equals(narrow)
+    assert lay_on_faces([narrow], [between], CELL_M)[0].equals(narrow)

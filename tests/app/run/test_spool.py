@@ -9,7 +9,7 @@ import pytest
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import PlacedScan
-from ffmap.algorithms.maps.rivals import RivalMapsSettings, RivalReturns
+from ffmap.algorithms.maps.rivals import RivalReturns
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.summary import ray_rows
@@ -22,7 +22,7 @@ SCAN, PLACED, _, LABELLING = labelled()
 
 def kept(tmp_path: Path, scan: Scan, placed: PlacedScan, labelling: ScanLabelling) -> SpooledScan:
     """The second of two scans, written and read back."""
-    rivals = RivalReturns.of(placed.points_level, labelling, RivalMapsSettings())
+    rivals = RivalReturns.of(placed.points_level, labelling)
     scans = [
         SpooledScan.of(index, scan, placed, labelling, rivals, ray_rows(index, labelling)) for index in (6, 7)
     ]
@@ -48,7 +48,7 @@ def test_a_scan_comes_back_to_half_a_millimetre(tmp_path: Path, order: str) -> N
     height_m = heights_above_pieces(found.points_level, found.floor, found.floor_is_foot)
     np.testing.assert_allclose(height_m, LABELLING.height_m, atol=0.001)
     np.testing.assert_array_equal(found.label, LABELLING.label)
-    rivals = RivalReturns.of(PLACED.points_level, LABELLING, RivalMapsSettings())
+    rivals = RivalReturns.of(PLACED.points_level, LABELLING)
     np.testing.assert_array_equal(found.rivals.row, rivals.row)
     np.testing.assert_array_equal(found.rivals.rival, rivals.rival)
     np.testing.assert_array_equal(found.origin_level, PLACED.origin_level)
