@@ -67,7 +67,9 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, worke
     rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map, bounds)
     # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
     rivals = {rival: own.cropped_to(grid) for rival, own in zip(Rival, drawn, strict=True)}
-    plan = draw_floor_plan(standing, immobile, grid, scans.storey, settings.wall_thickness, rooms.rooms)
+    plan = draw_floor_plan(
+        standing, immobile, grid, scans.storey, settings.wall_thickness, rooms.rooms
+    )
     return Maps(grid, rooms, rivals, _compare_rooms(rivals[Rival.MIDDLE], scans, settings), plan)
 
 

@@ -167,8 +167,8 @@ def find_rooms(
     the grid, they part rooms whatever their width, and belong to none. windows: (W, 2, 2), through which no room is
     reached. path_map: (n, 2 or more) the robot's places, for a map that was made on the way: rooms that no passage
     joins to them are dropped, the edge of what was seen is no jamb, and what something hid within a room is part of it.
-    None for a map whose making is unknown. bounds: the faces of walls, doors and windows that outlines are laid
-    on where they run along them.
+    None for a map whose making is unknown. bounds: the faces of walls, doors and windows that
+    outlines are laid on where they run along them.
     """
     view = _View.of(grid)
     free = view.cells == Cell.FREE
@@ -183,7 +183,8 @@ def find_rooms(
     with_mouths = path_map is None and not len(doorways)
     label = _areas(open_cells, distance, nearest, walls, grid.cell_m, widest_m, with_mouths, settings)
     count = int(label.max(initial=0)) + 1
-    sides = np.array([_sides(label, view, doorway) for doorway in doorways], np.int32).reshape(-1, 2)
+    found = [_sides(label, view, doorway) for doorway in doorways]
+    sides = np.array(found, np.int32).reshape(-1, 2)
     openings = _openings(label, view)
     if path_map is not None:
         label = _without_beams(label, _BEAM_M / grid.cell_m)
@@ -191,7 +192,8 @@ def find_rooms(
         label = _reaching_on(label, walls & ~furniture)
         label = _with_niches(label, closed, settings.block_max_m / grid.cell_m)
     reach_m = 0.0 if path_map is None else grid.cell_m / 2  # such a map's walls run along the middle of their cells
-    removed, skeleton = view.centres(furniture & ~free), _voronoi(label, distance, nearest, view, _SKELETON_M)
+    removed = view.centres(furniture & ~free)
+    skeleton = _voronoi(label, distance, nearest, view, _SKELETON_M)
     numbers = np.flatnonzero(np.bincount(label.ravel()))
     numbers = numbers[numbers > 0]
     outlines = _outlines(label, numbers, view, reach_m)

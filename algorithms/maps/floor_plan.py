@@ -144,8 +144,12 @@ def draw_floor_plan(
     ]
     cuts = shapely.union_all([*(grown(o, _TIDY_M / 2) for o in outlines), *windows, *columns])
     in_wall = ~in_column & ~_fragments(stretches)
-    solid = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m))
-    assumed = _bodies(stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m))
+    solid = _bodies(
+        stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m)
+    )
+    assumed = _bodies(
+        stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m)
+    )
     solid = solid.difference(cuts)
     assumed = assumed.difference(cuts).difference(solid)
     return FloorPlan(
@@ -158,7 +162,9 @@ def draw_floor_plan(
                 sill=doors.ends[d],
                 closed=doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d],
                 state=DoorState(int(doors.state[d])),
-                leaves=_find_leaves(doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), upright)
+                leaves=_find_leaves(
+                    doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), upright
+                )
                 if doors.state[d] == DoorState.OPEN
                 else (),
             )
@@ -179,7 +185,8 @@ def _shown(stretches: Walls, grid: GridMap) -> BoolArray:
         places = ends[0] + np.linspace(0, 1, count)[:, None] * (ends[1] - ends[0])
         index = np.floor((places - grid.origin) / grid.cell_m).astype(int)[:, None] + near
         index = np.clip(index, 0, np.array(grid.cells.shape[::-1]) - 1)
-        shown[w] = (grid.cells[index[..., 1], index[..., 0]] == Cell.OCCUPIED).any(axis=1).mean() >= _DRAWN_SHARE_MIN
+        occupied = grid.cells[index[..., 1], index[..., 0]] == Cell.OCCUPIED
+        shown[w] = occupied.any(axis=1).mean() >= _DRAWN_SHARE_MIN
     return shown
 
 
@@ -194,7 +201,9 @@ def _assumed_thickness(stretches: Walls, doors: Doors, usual_m: float) -> FloatA
     return assumed_m
 
 
-def _bodies(stretches: Walls, parts: WallParts, assumed_m: FloatArray, chosen: BoolArray) -> BaseGeometry:
+def _bodies(
+    stretches: Walls, parts: WallParts, assumed_m: FloatArray, chosen: BoolArray
+) -> BaseGeometry:
     """The union of the areas behind some parts of the faces, carried on around the corners of rooms."""
     bodies = []
     for p in np.flatnonzero(chosen):
@@ -295,7 +304,9 @@ def _upright(votes: VoxelVotes, storey: Storey) -> FloatArray:
     return np.column_stack([places[between, :2], height_m[between]])
 
 
-def _find_leaves(sill: FloatArray, normal: FloatArray, depth_m: float, upright: FloatArray) -> tuple[Leaf, ...]:
+def _find_leaves(
+    sill: FloatArray, normal: FloatArray, depth_m: float, upright: FloatArray
+) -> tuple[Leaf, ...]:
     """The leaves of an open door, by what stands upright from one of its jambs, as long as the doorway is wide.
 
     Tried is every angle at every jamb to both sides; one leaf hangs at each jamb at most, and a single one at one of them.

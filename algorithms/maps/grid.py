@@ -191,7 +191,10 @@ def draft_furniture_free(
     # Where the thickness is a guess, or a leaf hid whether it holds here, a doorway rather ends in the room behind.
     guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall]) | (doors.state == DoorState.CLOSED)
     reach_m = np.where(guessed, np.maximum(doors.reveal_m, _DOOR_GUESSED_M), doors.reveal_m)
-    doorways = [_doorway(doors.ends[d], doors.normal[d], reach_m[d], settings.cell_m) for d in range(len(doors))]
+    doorways = [
+        _doorway(doors.ends[d], doors.normal[d], reach_m[d], settings.cell_m)
+        for d in range(len(doors))
+    ]
     for doorway in doorways:
         canvas.draw_area(doorway, Cell.UNKNOWN)
     for d in range(len(doors)):
@@ -322,7 +325,9 @@ def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) 
         if bottom_m < _SILL_MIN_M or abs(normal @ window.normal) > 0.9:  # parallel, to 26°
             continue
         behind_m = -window.before_m(places)
-        within |= (behind_m > 0) & (behind_m < _RECESS_MAX_M) & window.beside(places, _RECESS_BESIDE_M)
+        within |= (
+            (behind_m > 0) & (behind_m < _RECESS_MAX_M) & window.beside(places, _RECESS_BESIDE_M)
+        )
     return within
 
 
@@ -381,7 +386,10 @@ class _Layer:
         # Glass stops rays: what lies behind belongs to another world.
         for ends in draft.windows.ends:
             canvas.draw_line(ends, Cell.OCCUPIED)
-        for ends in [*_glazed(draft.faces, draft.windows), *lengthened(draft.windows.ends, _GAP_MAX_M)]:
+        for ends in [
+            *_glazed(draft.faces, draft.windows),
+            *lengthened(draft.windows.ends, _GAP_MAX_M),
+        ]:
             canvas.close_gaps(ends, draft.doorways)
         self.spanned = canvas.first, canvas.first + canvas.cells.shape[::-1]
         self.barred = canvas.cells == Cell.OCCUPIED
@@ -520,7 +528,9 @@ class _Canvas:
         ended, crossed = counts[..., 0], counts[..., 1]
         open_cells = (crossed >= _CROSSED_RAYS_MIN) & (crossed > _CROSSED_RATIO * ended)
         run, _ = label(open_cells, np.ones((3, 3)))
-        self.cells[open_cells & (np.bincount(run.ravel()) >= _CROSSED_CELLS_MIN)[run]] = Cell.UNKNOWN
+        self.cells[open_cells & (np.bincount(run.ravel()) >= _CROSSED_CELLS_MIN)[run]] = (
+            Cell.UNKNOWN
+        )
 
     @property
     def frame(self) -> _Frame:
@@ -561,8 +571,8 @@ def _count_crossings(
 
     A ray that runs along a line, close before it, meets its cells but does not cross it.
 
-    across: (rows, columns, 2) at right angles to the line in each cell. A crossing counts at a height from `_FOOT_M` to knee_m
-    above the floor, as its scan saw that.
+    across: (rows, columns, 2) at right angles to the line in each cell. A crossing counts at a
+    height from `_FOOT_M` to `knee_m` above the floor, as its scan saw that.
     """
     rows, columns = cells.shape
     origin, starts, end, floors = rays.origin, rays.starts, rays.end, rays.floors

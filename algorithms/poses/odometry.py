@@ -236,7 +236,10 @@ def _in_order(
 
 
 def _periods_of_a_gap(stamps_ns: list[int]) -> int:
-    """How many usual steps the last one is, where in that gap a sensor may go farther than `LOST_DISTANCE_M`; else 0."""
+    """How many usual steps the last one is; 0 unless it is a gap that a sensor may get lost in.
+
+    That is, in which it may go farther than `LOST_DISTANCE_M`.
+    """
     if len(stamps_ns) < 2 or may_change(stamps_ns[-1] - stamps_ns[-2]).metres <= LOST_DISTANCE_M:
         return 0
     steps = np.diff(np.array(stamps_ns, np.int64))

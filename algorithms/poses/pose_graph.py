@@ -153,7 +153,9 @@ def close_loops(
     return _answer(T_odom_first, scan, T_start, T, [edges[pair] for pair in sorted(edges)])
 
 
-def _first_again(T_odom_sensor: FloatArray, clouds_sensor: Sequence[FloatArray], half: int) -> FloatArray:
+def _first_again(
+    T_odom_sensor: FloatArray, clouds_sensor: Sequence[FloatArray], half: int
+) -> FloatArray:
     """The pose (4, 4) of the first scan by those after it.
 
     It alone was the map that the second one was registered to, and by its pose the run's map is placed: an error of half a
@@ -178,7 +180,9 @@ def _with_first(T_odom_sensor: FloatArray, T_odom_first: FloatArray) -> FloatArr
 def _pairs(position: FloatArray, near_m: float) -> set[tuple[int, int]]:
     """Submaps to be joined: each with those just before it, and with the nearest of each earlier pass."""
     pairs = {(i - back, i) for i in range(len(position)) for back in range(1, _ALONG + 1) if i >= back}
-    for i, near in enumerate(cKDTree(position).query_ball_point(position, near_m) if len(position) else []):
+    for i, near in enumerate(
+        cKDTree(position).query_ball_point(position, near_m) if len(position) else []
+    ):
         passes: list[int] = []
         earlier = np.array([j for j in near if j < i - _ALONG], np.int64)
         for j in earlier[np.argsort(np.linalg.norm(position[earlier] - position[i], axis=1), kind="stable")].tolist():

@@ -354,7 +354,9 @@ class Refiner:
     def _settled(self, source: GaussianCloud, guess: FloatArray) -> Aligned:
         """A registration from afar, then within the usual distance."""
         lost = self._map.register(source, guess, LOST_DISTANCE_M, _ITERATIONS_MAX)
-        return self._map.register(source, lost.T_map_cloud, self._settings.distance_m, _ITERATIONS_MAX)
+        return self._map.register(
+            source, lost.T_map_cloud, self._settings.distance_m, _ITERATIONS_MAX
+        )
 
     def _start_again(self, scan: Scan, companion: Scan | None, first: _Registered, motion_per_ns: FloatArray) -> None:
         """The map of the first scan alone, put together by a motion that was not known when it came."""
@@ -386,7 +388,9 @@ class Refiner:
         usual = max(WEAK_INLIER_SHARE, self._inlier_share - _FIT_DROP_MAX)
         fit = self._best_fit(source, guesses, expected, change, (near_m, 2 / 3 * near_m), usual)
         if fit.jumped or fit.aligned.inlier_share < WEAK_INLIER_SHARE:
-            lost = self._best_fit(source, guesses, expected, change, (LOST_DISTANCE_M,), WEAK_INLIER_SHARE)
+            lost = self._best_fit(
+                source, guesses, expected, change, (LOST_DISTANCE_M,), WEAK_INLIER_SHARE
+            )
             # More of a scan lies within more: shares are compared at one distance.
             near = self._best_fit(source, [lost.aligned.T_map_cloud], expected, change, (near_m,), usual)
             fit = min(fit, near, key=lambda own: own.rank)

@@ -41,7 +41,9 @@ def find_ceilings(
         support_min = max(30, int(share * len(points_level) / stride))
         if len(points) < support_min or len(ceilings) == _CEILINGS_MAX:
             break
-        found = [_ransac_height(heights, settings.ceiling_distance_m, generator) for heights in parallel]
+        found = [
+            _ransac_height(heights, settings.ceiling_distance_m, generator) for heights in parallel
+        ]
         best = int(np.argmax([support for _, support in found]))
         heights, (centre_m, support) = parallel[best], found[best]
         if support < support_min:
@@ -68,7 +70,9 @@ def below_ceiling(points_level: FloatArray, planes: FloatArray) -> FloatArray:
     return np.asarray(_below(points_level, np.ascontiguousarray(planes, np.float64)))
 
 
-def _ransac_height(heights_m: FloatArray, distance_m: float, generator: np.random.Generator) -> tuple[float, int]:
+def _ransac_height(
+    heights_m: FloatArray, distance_m: float, generator: np.random.Generator
+) -> tuple[float, int]:
     """The best of the hypotheses, as the mean height of its returns, and how many they are."""
     chosen = generator.integers(0, len(heights_m), _HYPOTHESES)
     mean_m, count = _best_height(heights_m, chosen, distance_m, HEIGHT_BIN_M)

@@ -77,7 +77,8 @@ class DoorLines:
     behind: (D,) bool, condition 2: from some point downwards all of its returns lie behind the plane.
     start_height_m: (D,) height above the floor of the return at which that begins; NaN where condition 2 failed.
     high_enough: (D,) bool, condition 3: it begins at least the door's minimum height above the floor.
-    depth_m: (D,) mean distance behind the plane below the start, `_DEPTH_MAX_M` at most a return; NaN where condition 2 failed.
+    depth_m: (D,) mean distance behind the plane below the start, `_DEPTH_MAX_M` at most a return;
+        NaN where condition 2 failed.
     state: (D,) uint8, see `DoorState`; has a meaning where all three conditions held.
     position: (D, 2) x and y on the plane where the line passes below the start.
 
@@ -197,7 +198,8 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
     walk = np.lexsort((place_m, door_lines.state[chosen], door_lines.plane[chosen]))
     chosen, place_m = chosen[walk], place_m[walk]
     plane, state = door_lines.plane[chosen], door_lines.state[chosen]
-    breaks = np.flatnonzero((np.diff(plane) != 0) | (np.diff(state) != 0) | (np.diff(place_m) > _GAP_MAX_M)) + 1
+    apart = np.diff(place_m) > _GAP_MAX_M
+    breaks = np.flatnonzero((np.diff(plane) != 0) | (np.diff(state) != 0) | apart) + 1
     groups = [g for g in np.split(np.arange(len(chosen)), breaks) if len(g) >= settings.lines_min]
     door_line_opening = np.full(len(door_lines.line), -1, np.int32)
     for opening, group in enumerate(groups):
@@ -254,7 +256,8 @@ def _split_lines(
         top = last - 1
         while (
             top >= first
-            and abs(nx * points[order[top], 0] + ny * points[order[top], 1] - off) > _WALL_DISTANCE_M
+            and abs(nx * points[order[top], 0] + ny * points[order[top], 1] - off)
+            > _WALL_DISTANCE_M
         ):
             top -= 1
         # From there to the line's lower end: what stands before the plane is skipped, for it hides the wall.

@@ -159,7 +159,9 @@ def _joined(
     return pieces, held
 
 
-def _consensus_plane(A: FloatArray, rise_m: FloatArray, slope: FloatArray, slope_max: float) -> FloatArray:
+def _consensus_plane(
+    A: FloatArray, rise_m: FloatArray, slope: FloatArray, slope_max: float
+) -> FloatArray:
     """Rise at the origin and slope (3,) of the plane that most cells lie on; of cells with rows 1, x, y (m, 3).
 
     slope: of the plane that the rise is counted from; both together are at most `slope_max`.
@@ -184,7 +186,9 @@ def _consensus_plane(A: FloatArray, rise_m: FloatArray, slope: FloatArray, slope
 
 
 @numba.njit(cache=True, nogil=True)
-def _histograms(points: FloatArray, middle_m: float, search_m: float) -> FloatArray:  # pragma: no cover
+def _histograms(
+    points: FloatArray, middle_m: float, search_m: float
+) -> FloatArray:  # pragma: no cover
     """(2, bins) of the heights: returns, and cells of the ground. A cell counts once, shared by its returns: so the upright
     returns of a wall count for little at any one height, be they many more than those of a floor that is seen from low.
     """
@@ -199,7 +203,9 @@ def _histograms(points: FloatArray, middle_m: float, search_m: float) -> FloatAr
     histograms = np.zeros((2, int(np.ceil(2 * search_m / HEIGHT_BIN_M))))
     for i in range(len(points)):
         if cell[i] >= 0:
-            b = min(int((points[i, 2] - middle_m + search_m) / HEIGHT_BIN_M), histograms.shape[1] - 1)
+            b = min(
+                int((points[i, 2] - middle_m + search_m) / HEIGHT_BIN_M), histograms.shape[1] - 1
+            )
             histograms[0, b] += 1.0
             histograms[1, b] += 1.0 / count[cell[i]]
     return histograms

@@ -70,9 +70,17 @@ def smooth_ranges(scan: Scan, settings: SmoothingSettings) -> SmoothedRanges:
     range_m = _along_rings(points, rank)
     # Sensors count in steps of millimetres; what scatters by more than some centimetres is no surface.
     scatter_m = min(max(_scatter(range_m, turn, starts), 0.002), 0.06)
-    residual_max_m, correction_max_m = _RESIDUAL_MAX_SCATTERS * scatter_m, _CORRECTION_MAX_SCATTERS * scatter_m
+    residual_max_m = _RESIDUAL_MAX_SCATTERS * scatter_m
+    correction_max_m = _CORRECTION_MAX_SCATTERS * scatter_m
     smooth_m = _smooth(
-        range_m, turn, starts, settings.returns, _FACET_MAX_M, scatter_m, residual_max_m, correction_max_m
+        range_m,
+        turn,
+        starts,
+        settings.returns,
+        _FACET_MAX_M,
+        scatter_m,
+        residual_max_m,
+        correction_max_m,
     )
     return SmoothedRanges(*_moved(points, rank, range_m, smooth_m), scatter_m)
 

@@ -291,7 +291,8 @@ def _overhung(
     """(s,) whether what each structure's line meets above it touches it, is no farther and no lower, and comes nearer.
 
     No ray passes above such a structure: over furniture, and below what hangs before a wall, there are such. line, last: (s,) of
-    some structures, the line and the highest sample. Of ten samples above one may be stray, by a quarter of `_OVERHANG_M`.
+    some structures, the line and the highest sample. Of ten samples above one may be stray, by a
+    quarter of `_OVERHANG_M`.
     """
     overhung = np.zeros(len(line), np.bool_)
     for s in range(len(line)):

@@ -227,5 +227,7 @@ def test_an_empty_building_has_an_empty_plan() -> None:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS, KNEE_M)
     nothing = immobile.walls.select(np.zeros(0, int))
-    plan = draw_floor_plan(nothing, immobile, grid, Storey.of(immobile.votes, (), LevelsSettings()), THICKNESS)
+    plan = draw_floor_plan(
+        nothing, immobile, grid, Storey.of(immobile.votes, (), LevelsSettings()), THICKNESS
+    )
     assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())

@@ -10,7 +10,13 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
-from ffmap.algorithms.maps.area_graph import AreaGraph, AreaGraphSettings, doorways_of, find_rooms, sides_of
+from ffmap.algorithms.maps.area_graph import (
+    AreaGraph,
+    AreaGraphSettings,
+    doorways_of,
+    find_rooms,
+    sides_of,
+)
 from ffmap.algorithms.maps.grid import GridMapSettings, standing_stretches
 from ffmap.algorithms.maps.room_outlines import Sides, lay_on_faces
 from tests.drawing import draw_furniture_free

@@ -176,7 +176,9 @@ def test_a_bare_corridor_raises_the_alarm_and_a_room_does_not(
     assert all(why is not None and "nothing holds it in one direction" in why for why in alarms[2:])
 
 
-def test_the_second_scan_is_not_judged_by_a_map_of_one_scan(scans: list[tuple[int, Scan, Scan | None]]) -> None:
+def test_the_second_scan_is_not_judged_by_a_map_of_one_scan(
+    scans: list[tuple[int, Scan, Scan | None]],
+) -> None:
     found = list(register_scans(scans[:3], OdometrySettings(), RefinementSettings()))
     assert [bool(np.isnan(r.refined_inlier_share)) for r in found] == [False, True, False]
 

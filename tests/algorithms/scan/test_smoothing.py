@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.scan import FloatArray, Scan
-from ffmap.algorithms.scan.smoothing import _CORRECTION_MAX_SCATTERS, SmoothingSettings, smooth_ranges
+from ffmap.algorithms.scan.smoothing import (
+    _CORRECTION_MAX_SCATTERS,
+    SmoothingSettings,
+    smooth_ranges,
+)
 from tests import synthetic
 
 SETTINGS = SmoothingSettings()
