@@ -19,7 +19,6 @@ VARIABLE = "NUMBA_CACHE_DIR"
 """Numba's environment variable; a folder that the user has set counts."""
 SOURCES = (
     "algorithms",
-    "loaders/dual_returns.py",
     "loaders/firing_times.py",
     "loaders/pointcloud2.py",
     "loaders/rings.py",

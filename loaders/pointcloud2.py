@@ -17,9 +17,9 @@ from rosbags.typesys.store import Typestore
 
 from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.base.own_body import OwnBody
-from ffmap.algorithms.base.scan import Echo, FloatArray, IntArray, Scan, UInt8Array, subset
+from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, subset
 from ffmap.loaders.bag import Bag, Message
-from ffmap.loaders.dual_returns import PAIRS_MIN, find_echoes
+from ffmap.loaders.dual_returns import APART_M, PAIRS_MIN, nearer_returns
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.firing_times import TIME_NAMES, TimeField, azimuth_times, find_time_field, join_times
 from ffmap.loaders.rings import RingModel, RingSample, estimate_rings
@@ -66,7 +66,7 @@ class CloudDecoding:
     period_ns: time of a revolution, from the stamps; None where fewer than two clouds are there.
     clock_ns: what is added to the firings' times, where this lidar's clock is off from the other's.
     intensity: the field that tells how strong a return is; None where there is none, or it is the same everywhere.
-    dual: whether some firings return twice.
+    dual: whether firings return twice; scans lack the nearer of the two returns.
     own_body: the robot's own body, which scans lack; None where none is known.
     """
 
@@ -281,10 +281,12 @@ def _returns_twice(messages: Sequence[Message], decoding: CloudDecoding) -> bool
     pairs = 0
     for message in messages:
         try:
-            scan = decode(message, replace(decoding, dual=True))
+            scan = decode(message, decoding)
         except CloudError:
             continue
-        pairs += 0 if scan.echo is None else int(np.count_nonzero(scan.echo == Echo.NEARER))
+        if scan.time_ns is not None:
+            nearer = nearer_returns(scan.points_sensor, scan.ring, scan.time_ns, APART_M)
+            pairs += int(np.count_nonzero(nearer))
     return pairs >= PAIRS_MIN
 
 
@@ -324,7 +326,7 @@ def _numbers(message: Message, layout: CloudLayout, rings: RingModel, index: Int
 
 
 def decode(message: Message, decoding: CloudDecoding) -> Scan:
-    """The cloud as a scan: invalid points and the robot's own body dropped, ring and time aligned with what is left.
+    """The cloud as a scan: invalid points, the nearer of two returns of a firing and the robot's own body dropped.
 
     A scan without any valid point is returned empty. Raises CloudError where the message contradicts itself.
     """
@@ -343,9 +345,10 @@ def decode(message: Message, decoding: CloudDecoding) -> Scan:
         cloud_index=index,
         cloud_size=layout.height * layout.width,
         intensity=_intensities(message, layout, decoding, index),
-        echo=find_echoes(points, ring, time_ns) if decoding.dual and time_ns is not None else None,
     )
-    return scan if decoding.own_body is None else subset(scan, ~decoding.own_body.holds(points))
+    if decoding.dual and time_ns is not None:
+        scan = subset(scan, ~nearer_returns(points, ring, time_ns))
+    return scan if decoding.own_body is None else subset(scan, ~decoding.own_body.holds(scan.points_sensor))
 
 
 def _intensities(

@@ -219,7 +219,7 @@ def find_rig(
 
 
 def _warn_of_clouds(horizontal: Lidar, verticals: tuple[Lidar, ...], warnings: list[str]) -> None:
-    """What the clouds lack of each lidar that has a role, and which upright ones see little of floor and ceiling together."""
+    """Warn of what the clouds of each lidar with a role lack, and of upright ones that see little of floor and ceiling together."""
     by_role = {"horizontal": [horizontal.topic], "vertical": [lidar.topic for lidar in verticals]}
     for lidar in {lidar.topic: lidar for lidar in (horizontal, *verticals)}.values():
         name = f"{lidar.topic} ({' and '.join(role for role, topics in by_role.items() if lidar.topic in topics)})"
@@ -230,6 +230,8 @@ def _warn_of_clouds(horizontal: Lidar, verticals: tuple[Lidar, ...], warnings: l
             )
         if lidar.decoding.rings.source == "bins" and not lidar.ringless:
             warnings.append(f"{name}: no ring field, and the elevations tell no rings apart")
+        if lidar.decoding.dual:
+            warnings.append(f"{name}: firings return twice; only the farther return of each is used")
     for lidar in verticals:
         if lidar.column_pairs and lidar.opening_deg < _OPENING_MIN_DEG:
             warnings.append(

@@ -1,7 +1,6 @@
 """One revolution of a spinning lidar, as every step of the method receives it."""
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from functools import cached_property
 from typing import Any
 
@@ -33,14 +32,6 @@ class ScanSettings(StepSettings):
     )
 
 
-class Echo(IntEnum):
-    """What a return is to its firing. A beam that meets a pane, or an edge, may return from two places (dual return)."""
-
-    ONLY = 0
-    NEARER = 1
-    FARTHER = 2
-
-
 @dataclass(frozen=True)
 class Scan:
     """The returns of one revolution, invalid points dropped; all arrays have one row a return, see `in_canonical_order`.
@@ -54,7 +45,6 @@ class Scan:
     cloud_index: (n,) int32, the place of each return in the message (row-major), to write labels back.
     cloud_size: how many points the message has, valid or not.
     intensity: (n,) float32 in the sensor's own unit, NaN where a return has none; None where the cloud gives none.
-    echo: (n,) uint8, see `Echo`; None where no firing returns twice.
     """
 
     points_sensor: FloatArray
@@ -66,7 +56,6 @@ class Scan:
     cloud_index: IntArray
     cloud_size: int
     intensity: FloatArray | None = None
-    echo: UInt8Array | None = None
 
     def __len__(self) -> int:
         return len(self.points_sensor)
@@ -159,5 +148,4 @@ def subset(scan: Scan, rows: BoolArray | IntArray) -> Scan:
         time_ns=None if scan.time_ns is None else scan.time_ns[rows],
         cloud_index=scan.cloud_index[rows],
         intensity=None if scan.intensity is None else scan.intensity[rows],
-        echo=None if scan.echo is None else scan.echo[rows],
     )

@@ -42,7 +42,7 @@ def tell_deep_openings(
         # Rays that end on the floor within the doorway come in lower.
         leaf = _leaf_in(counts[:, cells_in(rules.building.knee_m) :], beside, deep)
         inside = slice(beside, len(counts) - beside)
-        pane = _pane_in(counts[inside], cells.of(k).twice[inside, : counts.shape[1]], deep)
+        pane = _pane_in(counts[inside], deep)
         if leaf is not None:
             state[d], depth_m[d], agreement[d] = DoorState.CLOSED, leaf.behind_m, leaf.agreement
         elif pane is not None:
@@ -87,10 +87,10 @@ class _Pane(NamedTuple):
     bottom_m: float
 
 
-def _pane_in(counts: FloatArray, twice: FloatArray, rules: OpeningRules) -> _Pane | None:
+def _pane_in(counts: FloatArray, rules: OpeningRules) -> _Pane | None:
     """The sheet that closes a doorway and lets most rays pass, also where it returns some: what stands in the next room does not.
 
-    counts: (c, rows, 4) of the doorway, up to its head. twice: (c, rows), see `WallCells`, or (0, rows).
+    counts: (c, rows, 4) of the doorway, up to its head.
     """
     high = counts[:, cells_in(rules.building.knee_m) :]
     behind_m, on_sheet = find_pane_m(high, rules), lies_on_sheet(high, rules)
@@ -98,7 +98,7 @@ def _pane_in(counts: FloatArray, twice: FloatArray, rules: OpeningRules) -> _Pan
     rows = counts[:, FOOT_ROW:].sum(axis=0)
     is_passed = rows[:, THROUGH] > rows[:, FILLED]
     # A stray return or a jamb makes a sheet as well, but of too few of the rays.
-    is_glass = is_pane(counts, twice, rules)
+    is_glass = is_pane(counts, rules)
     if not np.isfinite(behind_m) or passed < returned or np.mean(is_passed) < 0.5 or not is_glass:
         return None
     return _Pane(behind_m, (FOOT_ROW + int(is_passed.argmax())) * CELL_M)

@@ -120,7 +120,7 @@ def _open_columns(face: TracedFace, found: DoorColumns, floor_before: BoolArray,
     below = face.counts[:, FOOT_ROW : cells_in(settings.door_height_min_m)].sum(axis=1)
     for first, last in stretches(found.is_open, 2):
         own = slice(first, last + 1)
-        if is_pane(face.counts[own], face.twice[own], rules) or not is_open_to_floor(face.counts[own], rules):
+        if is_pane(face.counts[own], rules) or not is_open_to_floor(face.counts[own], rules):
             continue
         first, last = to_jambs(below, first, last, openings.leaf_max_m)
         if (last + 1 - first) * CELL_M < settings.door_width_min_m:

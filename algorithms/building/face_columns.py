@@ -133,7 +133,7 @@ def visited(places: FloatArray, path_map: FloatArray, robot_m: float) -> BoolArr
 class TracedFace(NamedTuple):
     """One wall face: its number among all, and where its columns lie among all faces'.
 
-    counts: (c, rows, 4) float64 what rays found of its cells; twice: (c, rows) or (0, rows), see `WallCells`.
+    counts: (c, rows, 4) float64 what rays found of its cells.
     top_m: (c,) how high each column stands: up to the ceiling there, or else as high as the face was seen.
     """
 
@@ -141,7 +141,6 @@ class TracedFace(NamedTuple):
     segment: Segment
     columns: slice
     counts: FloatArray
-    twice: FloatArray
     top_m: FloatArray
 
 
@@ -167,7 +166,7 @@ class TracedFaces:
         for w, face in enumerate(segments(self.walls)):
             own = self.columns(w)
             counts = self.cells.counts[own].astype(np.float64)
-            yield TracedFace(w, face, own, counts, self.cells.twice[own], top_m[own])
+            yield TracedFace(w, face, own, counts, top_m[own])
 
     @classmethod
     def of(cls, walls: Walls, cells: WallCells, storey: Storey, ceiling_near_m: float) -> "TracedFaces":

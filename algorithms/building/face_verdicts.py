@@ -256,7 +256,7 @@ def _hanging(flags: _ColumnFlags, cells: WallCells, rules: OpeningRules, setting
     if flags.hollow.mean() > 0.5 and flags.has_foot.mean() < settings.jamb_share_min:
         hangs |= ~flags.has_foot
     for first, after in runs(hangs):
-        hangs[first:after] = not is_pane(cells.counts[first:after], cells.twice[first:after], rules)
+        hangs[first:after] = not is_pane(cells.counts[first:after], rules)
     return hangs
 
 

@@ -221,24 +221,22 @@ def _head_rows(smooth: FloatArray, top: IntArray, rules: OpeningRules) -> IntArr
     return np.where(steps, first + best + 1, usual)
 
 
-def is_pane(counts: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:
+def is_pane(counts: FloatArray, rules: OpeningRules) -> bool:
     """Whether an opening holds a pane: glass lets most rays through, but those that it returns come from one sheet.
 
     An open doorway returns nothing, and what stands in it has some depth (Wang and Wang, "Detecting glass in simultaneous
-    localisation and mapping", 2017). A firing that returns from within an opening and from beyond it has met an edge, as at the
-    jambs, or glass: of such returns a sheet is enough, however few they are. A wide opening is asked piece by piece: over many
-    metres a face is off its pane's direction by more than a sheet is thick.
+    localisation and mapping", 2017). A wide opening is asked piece by piece: over many metres a face is off its pane's
+    direction by more than a sheet is thick.
 
-    counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at. twice: (c, rows), see `WallCells`, or
-    (0, rows).
+    counts: (c, rows, 4) of the opening's columns; those at its jambs are not looked at.
     """
     jamb = min(cells_in(rules.openings.jamb_m), (len(counts) - 1) // 2)
     inside = slice(jamb, len(counts) - jamb), slice(FOOT_ROW, cells_in(rules.building.door_height_min_m))
-    inner, inner_twice = counts[inside], twice[inside]
-    if _holds_pane(inner, inner_twice, rules):
+    inner = counts[inside]
+    if _holds_pane(inner, rules):
         return True
     pieces = _pieces(len(inner), rules)
-    return len(pieces) > 1 and 2 * sum(_holds_pane(inner[piece], inner_twice[piece], rules) for piece in pieces) > len(pieces)
+    return len(pieces) > 1 and 2 * sum(_holds_pane(inner[piece], rules) for piece in pieces) > len(pieces)
 
 
 def _pieces(columns: int, rules: OpeningRules) -> list[slice]:
@@ -248,8 +246,8 @@ def _pieces(columns: int, rules: OpeningRules) -> list[slice]:
     return [slice(first, after) for first, after in pairwise(edges)]
 
 
-def _holds_pane(inner: FloatArray, twice: FloatArray, rules: OpeningRules) -> bool:
-    """The same of a piece of an opening. twice: (0, rows) where no firing returned twice."""
+def _holds_pane(inner: FloatArray, rules: OpeningRules) -> bool:
+    """The same of a piece of an opening."""
     filled, passed = inner[..., [FILLED, THROUGH]].sum(axis=(0, 1))
     if filled > rules.building.opaque_min * (filled + passed):
         return False  # A wall behind what hangs before it lies on one sheet too.
@@ -258,7 +256,7 @@ def _holds_pane(inner: FloatArray, twice: FloatArray, rules: OpeningRules) -> bo
         sheet = find_sheet(part, rules)
         if sheet is not None and sheet.returns >= rules.building.pane_share_min * float(part[..., THROUGH].sum()):
             return True
-    return len(twice) > 0 and find_sheet(inner * (twice > 0)[..., None], rules) is not None
+    return False
 
 
 @dataclass(frozen=True)

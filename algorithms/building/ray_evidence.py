@@ -13,7 +13,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import SECTORS, enter, sector_of, sectors_around
-from ffmap.algorithms.base.scan import Echo, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, BuildingSettings, Walls
 from ffmap.algorithms.scan.summary import Features
@@ -40,20 +40,18 @@ class WallCells:
     it (metres, negative behind), rays that went through.
     light: (columns, rows, angles, 2) float32: returns at the face of which the intensity is known, and its sum, by the angle of
     incidence (`ANGLES_DEG`); (0, rows, angles, 2) where no scan has any, or rays were not measured against scans' planes.
-    twice: (columns, rows) float32: returns near the face of firings that returned from beyond it too; (0, rows) where none did.
     """
 
     first: IntArray
     rows: int
     counts: FloatArray
     light: FloatArray = field(default_factory=lambda: np.zeros((0, 0, len(ANGLES_DEG) + 1, 2), np.float32))
-    twice: FloatArray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
 
     def minus(self, less: "WallCells") -> "WallCells":
         """Without what some of these rays found of the same faces. Cells in which these found all are left with exact zeros: both
         were summed in one order."""
-        light, twice = (a - b if len(b) else a for a, b in ((self.light, less.light), (self.twice, less.twice)))
-        return replace(self, counts=self.counts - less.counts, light=light, twice=twice)
+        light = self.light - less.light if len(less.light) else self.light
+        return replace(self, counts=self.counts - less.counts, light=light)
 
     def of(self, wall: int) -> "WallCells":
         """Of one face alone."""
@@ -63,7 +61,6 @@ class WallCells:
             self.rows,
             self.counts[own],
             self.light[own],
-            self.twice[own],
         )
 
     def columns(self, stretches: list[tuple[int, int, int]]) -> IntArray:
@@ -75,8 +72,8 @@ class WallCells:
         """Of stretches alone, see `columns`; each is a face of its own then."""
         columns = self.columns(stretches)
         starts = np.concatenate([[0], np.cumsum([after - first for _, first, after in stretches])]).astype(np.int64)
-        light, twice = (counts[columns] if len(counts) else counts for counts in (self.light, self.twice))
-        return WallCells(starts, self.rows, self.counts[columns], light, twice)
+        light = self.light[columns] if len(self.light) else self.light
+        return WallCells(starts, self.rows, self.counts[columns], light)
 
 
 class Rays(NamedTuple):
@@ -95,7 +92,6 @@ class Rays(NamedTuple):
     plane_ends: FloatArray
     plane_normal: FloatArray
     intensity: FloatArray
-    echo: UInt8Array
 
     @classmethod
     def of(cls, block: Features) -> "Rays":
@@ -112,7 +108,6 @@ class Rays(NamedTuple):
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
             np.ascontiguousarray(block.ray_intensity, np.float32),
-            np.ascontiguousarray(block.ray_echo),
         )
 
 
@@ -139,19 +134,15 @@ def trace_rays(walls: Walls, blocks: Iterable[Features], settings: BuildingSetti
     first = first_columns(walls)
     columns, rows = int(first[-1]), rows_of(walls)
     counts = np.zeros((columns, rows, 4), np.float32)
-    light, twice = np.zeros((0, rows, len(ANGLES_DEG) + 1, 2), np.float32), np.zeros((0, rows), np.float32)
+    light = np.zeros((0, rows, len(ANGLES_DEG) + 1, 2), np.float32)
     # Asked about faces of which no scan saw a plane, rays tell whether something stands there, not of what it is made.
     own, has_light = OwnPlane.of(settings), settings.own_plane_m > 0.0
     for block in blocks:
         rays = Rays.of(block)
         if len(rays.intensity) and has_light and not len(light):
             light = np.zeros((columns, *light.shape[1:]), np.float32)
-        if len(rays.echo) and not len(twice):
-            twice = np.zeros((columns, rows), np.float32)
-        _trace(
-            walls.ends, walls.normal, first, counts, light, twice, rays, settings.near_m, settings.range_m, own, _COSINES
-        )  # fmt: skip
-    return WallCells(first, rows, counts, light, twice)
+        _trace(walls.ends, walls.normal, first, counts, light, rays, settings.near_m, settings.range_m, own, _COSINES)
+    return WallCells(first, rows, counts, light)
 
 
 def trace_shared(
@@ -210,8 +201,7 @@ def joined(first: IntArray, rows: int, faces: list[WallCells]) -> WallCells:
     """The cells of several faces, each at least `rows` high, one after the other. first: see `WallCells`."""
     counts = [np.zeros((0, rows, 4), np.float32), *(face.counts[:, :rows] for face in faces)]
     light = [np.zeros((0, rows, len(ANGLES_DEG) + 1, 2), np.float32), *(face.light[:, :rows] for face in faces)]
-    twice = [np.zeros((0, rows), np.float32), *(face.twice[:, :rows] for face in faces)]
-    return WallCells(first, rows, *map(np.concatenate, (counts, light, twice)))
+    return WallCells(first, rows, np.concatenate(counts), np.concatenate(light))
 
 
 def returns_at_face(counts: FloatArray) -> FloatArray:
@@ -332,7 +322,6 @@ def _trace(
     first: IntArray,
     counts: FloatArray,
     light: FloatArray,
-    twice: FloatArray,
     rays: Rays,
     near_m: float,
     range_m: float,
@@ -390,8 +379,6 @@ def _trace(
                     counts[column, row, FILLED] += 1.0
                     counts[column, row, SUM] += side
                     counts[column, row, SQUARES] += side * side
-                    if len(rays.echo) > 0 and rays.echo[r] == Echo.NEARER:
-                        twice[column, row] += 1.0
                     if has_light and abs(side) < AT_FACE_M and np.isfinite(rays.intensity[r]):
                         angle = _angle_band(reach - side, x - ox, y - oy, z - oz, cosines)
                         light[column, row, angle, 0] += 1.0

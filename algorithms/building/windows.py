@@ -102,11 +102,7 @@ def find_windows(faces: TracedFaces, rules: OpeningRules, settings: WindowsSetti
             *stretches(columns.is_open & columns.has_lintel & ~below_blind, 2),
             *stretches(below_blind, 2),
         ]
-        panes = [
-            (first, last)
-            for first, last in opened
-            if is_pane(_up_to_head(counts[first : last + 1]), own.twice[first : last + 1], rules)
-        ]
+        panes = [(first, last) for first, last in opened if is_pane(_up_to_head(counts[first : last + 1]), rules)]
         may_be, is_sill = _above_sill(counts, wall_top_m, rules, settings)
         sill_min = cells_in(settings.sill_min_m)
         sills = [

@@ -7,13 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import BoolArray, Echo, FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.scan.floor import FLOOR_RANGE_M
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
 RAYS_PER_SCAN = 16_000  # maximum number of rays that are kept of a scan
-NO_INTENSITY, NO_ECHO = np.zeros(0, np.float32), np.zeros(0, np.uint8)
+NO_INTENSITY = np.zeros(0, np.float32)
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Features:
     floor_reach_m: (s,) distance from the sensor up to which the pieces were looked for.
     ray_count, plane_count: (s,) how many rows below belong to each scan, in order.
     ray_end_map: (r, 3) float32; ray_label: (r,) uint8, the scan's label of the return.
-    ray_intensity: (r,) float32, NaN where unknown; ray_echo: (r,) uint8, see `Echo`; (0,) where no scan has any.
+    ray_intensity: (r,) float32, NaN where unknown; (0,) where no scan has any.
     plane_ends_map: (p, 2, 2); plane_normal: (p, 2) towards the sensor; plane_bottom_m, plane_top_m: (p,);
     plane_lines: (p,); plane_moments: (p, 6) n, Σx, Σy, Σxx, Σxy, Σyy of its samples in the map.
     """
@@ -47,7 +47,6 @@ class Features:
     plane_lines: IntArray
     plane_moments: FloatArray
     ray_intensity: FloatArray = field(default_factory=lambda: NO_INTENSITY)
-    ray_echo: UInt8Array = field(default_factory=lambda: NO_ECHO)
 
     def moved(self, T: FloatArray) -> "Features":
         """Each scan moved by its own T (s, 4, 4), a turn about z and a shift; its rays stay, for `with_rays` to replace."""
@@ -166,7 +165,6 @@ def without_rays(features: Features) -> Features:
         ray_end_map=np.zeros((0, 3), np.float32),
         ray_label=np.zeros(0, np.uint8),
         ray_intensity=NO_INTENSITY,
-        ray_echo=NO_ECHO,
     )
 
 
@@ -175,9 +173,8 @@ def with_rays(
     ends_map: list[FloatArray],
     labels: list[UInt8Array],
     intensities: list[FloatArray] | None = None,
-    echoes: list[UInt8Array] | None = None,
 ) -> Features:
-    """The same scans with these rays, by scan: ends (r, 3), labels (r,), and (r,) of what each scan has, or (0,)."""
+    """The same scans with these rays, by scan: ends (r, 3), labels (r,), and intensities (r,) of each scan, or (0,)."""
     counts = [len(end) for end in ends_map]
     return replace(
         features,
@@ -185,7 +182,6 @@ def with_rays(
         ray_end_map=np.concatenate(ends_map),
         ray_label=np.concatenate(labels),
         ray_intensity=_filled(intensities or [NO_INTENSITY] * len(counts), counts, np.nan),
-        ray_echo=_filled(echoes or [NO_ECHO] * len(counts), counts, Echo.ONLY),
     )
 
 
@@ -194,7 +190,6 @@ def concatenate(parts: list[Features]) -> Features:
     columns = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Features)}
     counts = [len(part.ray_end_map) for part in parts]
     columns["ray_intensity"] = _filled([part.ray_intensity for part in parts], counts, np.nan)
-    columns["ray_echo"] = _filled([part.ray_echo for part in parts], counts, Echo.ONLY)
     return Features(**columns)
 
 

@@ -237,8 +237,8 @@ def place_block(job: PlaceJob) -> None:
         ray_labels.append(label[scan.ray])
     placed = {**pack(votes.votes(), spool.VOTES), **pack(rivals.votes(), spool.RIVALS)}
     for features in spool.load_features(labelled):
-        intensities, echoes = [scan.ray_intensity for scan in scans], [scan.ray_echo for scan in scans]
-        moved = with_rays(features.moved(job.T_map_level), ends_map, ray_labels, intensities, echoes)
+        intensities = [scan.ray_intensity for scan in scans]
+        moved = with_rays(features.moved(job.T_map_level), ends_map, ray_labels, intensities)
         placed |= pack(moved, spool.FEATURES)
     spool.save(job.label.path.with_suffix(spool.PLACED), placed)
 

@@ -17,7 +17,7 @@ from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.building.halo import Halo
 from ffmap.algorithms.maps.rivals import RivalReturns
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.algorithms.scan.summary import NO_ECHO, NO_INTENSITY, Features
+from ffmap.algorithms.scan.summary import NO_INTENSITY, Features
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.run.arrays import Arrays, pack_rows, unpack, unpack_ragged, unpack_rows
 from ffmap.app.run.arrays_file import map_arrays, write_arrays
@@ -38,7 +38,7 @@ FINAL = ".final.arrow"
 LABEL = "label"
 """By scan, in the order of time: the final labels, one for each place in the cloud."""
 _GRID_M = 0.001
-_RAGGED = ("ceiling", "point", "place", "label_cloud", "ray", "ray_intensity", "ray_echo", "rival_row", "rival")
+_RAGGED = ("ceiling", "point", "place", "label_cloud", "ray", "ray_intensity", "rival_row", "rival")
 """What each `SpooledScan` has another number of."""
 
 
@@ -53,7 +53,7 @@ class SpooledScan:
     point: (n, 3) int16, in multiples of grid_m, which is more than a millimetre where a return is farther than 32 m.
     place: (n,) int32, of each return in the cloud; empty where they have the cloud's order.
     label_cloud: (cloud_size,) uint8, the scan's own label of each place in the cloud, see `full_labels`.
-    ray: (r,) int32, see `ray_rows`; ray_intensity, ray_echo: (r,) of these, see `Features`. rival_row, rival: see `RivalReturns`.
+    ray: (r,) int32, see `ray_rows`; ray_intensity: (r,) of these, see `Features`. rival_row, rival: see `RivalReturns`.
     """
 
     scan: int
@@ -68,7 +68,6 @@ class SpooledScan:
     label_cloud: UInt8Array
     ray: IntArray
     ray_intensity: FloatArray
-    ray_echo: UInt8Array
     rival_row: IntArray
     rival: UInt8Array
 
@@ -98,7 +97,6 @@ class SpooledScan:
             label_cloud=full_labels(scan.cloud_size, scan.cloud_index, labelling.label),
             ray=ray,
             ray_intensity=NO_INTENSITY if scan.intensity is None else scan.intensity[ray],
-            ray_echo=NO_ECHO if scan.echo is None else scan.echo[ray],
             rival_row=rivals.row,
             rival=rivals.rival,
         )

@@ -55,15 +55,8 @@ def layout_of(settings: SimulationSettings) -> Layout | None:
 
 
 def lidars_of(settings: SimulationSettings, rng: np.random.Generator) -> tuple[Lidar, ...]:
-    """The lidars where the settings put them; of a layout, where the rig's file does.
-
-    Raises InputError as `layout_of`, and where firings are to return twice that the driver publishes as two topics, or not at all.
-    """
+    """The lidars where the settings put them; of a layout, where the rig's file does. Raises InputError as `layout_of`."""
     layout = layout_of(settings)
-    model = SENSORS[settings.sensor] if layout is None else layout.model
-    if settings.returns == "dual" and model.layout != "velodyne":
-        twice = ", ".join(name for name, known in SENSORS.items() if known.layout == "velodyne")
-        raise InputError(f"simulate: dual returns in one cloud are those of {twice}, not of {model.name}; choose one of them")
     if layout is None:
         return mount_lidars(settings, rng)
     mounts = []

@@ -1,7 +1,6 @@
 """Lidar rays through a mesh: glass, walking people, and what a sensor makes of the surfaces that it hits."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from embreex import rtcore_scene  # noqa: TID251 - its one place
@@ -109,15 +108,10 @@ class World:
         TriangleMesh(self._scene, mesh.triangles.astype(np.float32))
         self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # builds the tree, before any thread
 
-    def trace(
-        self, origins: FloatArray, directions: FloatArray, time_s: FloatArray, rng: np.random.Generator, dual: bool = False
-    ) -> tuple[Hits, Hits]:  # fmt: skip
-        """Rays (n, 3) float32 with unit directions, fired at times (n,): through panes, off them, or onto them.
-
-        What each meets, and with `dual` what a ray that a pane returned meets behind it; else nothing.
-        """
+    def trace(self, origins: FloatArray, directions: FloatArray, time_s: FloatArray, rng: np.random.Generator) -> Hits:
+        """Trace rays (n, 3) float32 with unit directions, fired at times (n,), through panes, off them, or onto them."""
         count = len(origins)
-        first, second = Hits.none(count), Hits.none(count)
+        hits = Hits.none(count)
         rays = np.arange(count)
         travelled, transmitted = np.zeros(count, np.float32), np.ones(count, np.float32)
         behind = np.zeros(count, bool)
@@ -137,13 +131,11 @@ class World:
             returned = ~pane if last else ~pane | (rng.random(len(met)) < glass.returns(kind, cosine))
             signal = transmitted[rays[met]] * np.where(on_person, 0.3, self._response(triangle, cosine))
             signal[pane] = glass.echoes(kind, cosine)[pane]
-            again = np.isfinite(first.distance_m[rays[met]])
-            for hits, back in ((first, returned & ~again), (second, returned & again)):
-                own = rays[met[back]]
-                hits.distance_m[own] = travelled[own] + distance[back]
-                hits.cosine[own], hits.signal[own] = cosine[back], signal[back]
-                hits.truth[own] = np.where(behind[own], np.uint8(Truth.OUTSIDE), truth[back])
-            on = np.flatnonzero(~returned | (pane & ~again) if dual else ~returned)
+            own = rays[met[returned]]
+            hits.distance_m[own] = travelled[own] + distance[returned]
+            hits.cosine[own], hits.signal[own] = cosine[returned], signal[returned]
+            hits.truth[own] = np.where(behind[own], np.uint8(Truth.OUTSIDE), truth[returned])
+            on = np.flatnonzero(~returned)
             if last or not len(on):
                 break
             mirrored = rng.random(len(on)) < glass.mirrors(kind[on], cosine[on])
@@ -154,7 +146,7 @@ class World:
             transmitted[rays] *= glass.leaves(kind[on], cosine[on], mirrored)
             behind[rays] = True
             origins, directions = reached + 1e-3 * turned, turned
-        return first, second
+        return hits
 
     def _response(self, triangle: IntArray, cosine: FloatArray) -> FloatArray:
         """(n,) reflectivity of triangles seen at a cosine (n,) of incidence: diffuse, and what a sheen adds to it."""
@@ -192,8 +184,7 @@ def scan(
     directions_map = directions_sensor @ np.swapaxes(T_map_sensor[:, :3, :3], 1, 2).astype(np.float32)
     origins = np.repeat(T_map_sensor[:, :3, 3].astype(np.float32), model.rings, axis=0)
     time_s = (start_ns + firing_ns.ravel()) / 1e9
-    dual = settings.returns == "dual"
-    hits, others = world.trace(origins, directions_map.reshape(-1, 3), time_s, rng, dual)
+    hits = world.trace(origins, directions_map.reshape(-1, 3), time_s, rng)
 
     ring = np.broadcast_to(model.firing_order, firing_ns.shape).ravel()
     seen = _detected(hits, settings, model.max_range_m, rng)
@@ -214,20 +205,8 @@ def scan(
     if model.layout == "ouster":
         order = order.reshape(model.columns, model.rings).T.ravel()
     truth = np.where(seen, hits.truth, np.uint8(NO_RETURN))
-    own: list[Any] = [points, measured, intensity, ring, firing_ns.ravel().astype(np.int64), truth]
-    if dual:
-        # A beam that straddles an edge returns from both sides where the detector tells them apart.
-        others = _beyond_edges(hits, others, shape, settings.mixed_share, light_rng)
-        twice = seen & _detected(others, settings, model.max_range_m, light_rng)
-        noise = _range_noise(others, model, settings, light_rng)
-        again, twice = _measured(others.distance_m, twice, noise, ring_bias_m[ring], model, settings)
-        twice &= np.abs(again - measured) > _MIXED_STEP_M
-        light = _intensity(others, gain, settings, light_rng)
-        more = [directions_sensor.reshape(-1, 3) * again[:, None], again, light, *own[3:5], others.truth]
-        # Behind the return of the same firing.
-        firing = np.concatenate([order, np.flatnonzero(twice)])
-        own = [np.concatenate([a[order], b[twice]]) for a, b in zip(own, more, strict=True)]
-        order = np.argsort(firing, kind="stable")
+    time_ns = firing_ns.ravel().astype(np.int64)
+    own = (points, measured, intensity, ring, time_ns, truth)
     points, measured, intensity, ring, time_ns, truth = (column[order] for column in own)
     end_ns = start_ns + round(lidar.period_ns)
     return Sweep(points, measured, intensity, ring, time_ns, truth, start_ns, end_ns)
@@ -262,17 +241,6 @@ def _intensity(hits: Hits, gain: FloatArray, settings: SimulationSettings, rng: 
     strength = hits.signal * (0.3 + 0.7 * hits.cosine) * _faded(hits.distance_m, settings.intensity_half_m)
     scatter = rng.normal(1.0, settings.intensity_noise, len(strength)) if settings.intensity_noise else 1.0
     return np.round(np.clip(100.0 * strength * gain * scatter, 0.0, 255.0)).astype(np.float32)
-
-
-def _beyond_edges(
-    hits: Hits, others: Hits, shape: tuple[int, int], share: float, rng: np.random.Generator
-) -> Hits:  # fmt: skip
-    """What a second return is of: behind panes, and where a beam straddles an edge what the next firing met."""
-    following = Hits(*(np.roll(column.reshape(shape), -1, axis=0).ravel() for column in vars(hits).values()))
-    with np.errstate(invalid="ignore"):
-        step = np.abs(following.distance_m - hits.distance_m)
-    edge = np.isinf(others.distance_m) & (step > _MIXED_STEP_M) & np.isfinite(step) & (rng.random(len(step)) < share)
-    return Hits(*(np.where(edge, b, a) for a, b in zip(vars(others).values(), vars(following).values(), strict=True)))
 
 
 def _faded(distance_m: FloatArray, half_m: float | None) -> FloatArray | float:

@@ -27,9 +27,6 @@ class SimulationSettings(BaseModel):
         "plain", description="the bag is laid out as that of a public data set (see LAYOUTS), or plainly"
     )
     format: Container = Field("bag", description="ROS 1 bag, or ROS 2 folder with MCAP (mcap) or SQLite (db3) inside")
-    returns: Literal["single", "dual"] = Field(
-        "single", description="whether a firing returns its strongest echo alone, or, dual, also what is behind a pane or an edge"
-    )
     duration_s: float = Field(
         60.0, gt=0.3, le=3600, description="length of the drive (s); at rest for the first second"
     )

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ffmap.algorithms.base.scan import in_canonical_order
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.pointcloud2 import (
     decode,
@@ -392,26 +393,27 @@ def test_clouds_without_the_field_of_the_others_have_unknown_intensities():
 
 
 @pytest.mark.parametrize("order", ["in turns", "one after the other", "any"])
-def test_of_two_returns_of_a_firing_the_nearer_and_the_farther_are_told(order):
+def test_of_two_returns_of_a_firing_the_farther_is_read(order):
     first = sweep(columns=12)
     second = first[::4].copy()
     for axis in "xyz":
         second[axis] *= np.float32(1.5)
-    same = first[1::4].copy()  # measured twice
+    same = first[1::4].copy()  # Measured twice
     points = np.concatenate([first, second, same])
     rank = np.concatenate([np.arange(len(first)), np.arange(0, len(first), 4) + 0.5, np.arange(1, len(first), 4) + 0.5])
     places = {"in turns": np.argsort(rank), "one after the other": np.arange(len(points))}
     points = points[places.get(order, np.random.default_rng(3).permutation(len(points)))]
-    scan = read(cloud(points))
-    distance = np.linalg.norm(scan.points_sensor, axis=1)
-    np.testing.assert_array_equal(
-        np.sort(scan.echo), np.sort(np.repeat([0, 1, 2], [len(first) - len(second) + len(same), *[len(second)] * 2]))
-    )
-    assert set(zip(scan.ring[scan.echo == 1], scan.time_ns[scan.echo == 1], strict=True)) == set(
-        zip(scan.ring[scan.echo == 2], scan.time_ns[scan.echo == 2], strict=True)
-    )
-    assert distance[scan.echo == 2].sum() == pytest.approx(1.5 * distance[scan.echo == 1].sum(), rel=1e-5)
+    farther = first.copy()
+    farther[::4] = second
+    scan, expected = (in_canonical_order(read(cloud(own))) for own in (points, farther))
+    assert scan.cloud_size == len(points)
+    np.testing.assert_array_equal(xyz(points)[scan.cloud_index], scan.points_sensor)
+    for name in ("points_sensor", "ring", "time_ns"):
+        np.testing.assert_array_equal(getattr(scan, name), getattr(expected, name))
 
 
-def test_single_returns_have_no_echoes():
-    assert read(cloud(sweep(columns=12))).echo is None
+def test_a_few_second_returns_are_chance():
+    points = np.repeat(sweep(columns=12), 2)
+    points["x"][:19] *= np.float32(1.5)
+    assert not settle_decoding([cloud(points)], "/points").dual
+    assert len(read(cloud(points))) == len(points)

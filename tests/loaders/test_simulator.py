@@ -213,32 +213,6 @@ def test_glass_lets_through_mirrors_and_seldom_returns() -> None:
     assert not np.any((truth <= Truth.DOOR) & ~shapely.contains_xy(indoors.buffer(0.05), points[:, :2]))
 
 
-def test_a_firing_that_a_pane_returns_also_returns_from_behind_it_where_both_are_asked_for() -> None:
-    settings = SimulationSettings(
-        building="small", seed=2, duration_s=25, sensor="vlp16", glass=1.0, noise_m=0, mixed_share=0, ring_bias_m=0
-    )
-    both = settings.model_copy(update={"returns": "dual"})
-    scene, world = draw_scene(settings), World(draw_scene(settings).mesh)
-    twice = 0
-    for k in range(0, 240, 20):
-        single, dual = (
-            scan(world, scene.lidars[1], scene.trajectory, k, own, scene.ring_bias_m[1]) for own in (settings, both)
-        )
-        key = np.stack([dual.ring.astype(np.int64), dual.time_ns], axis=1)
-        _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
-        assert count.max() <= 2
-        first = first[count == 2]
-        # Two of one direction, the pane before what is behind it; all that a single return tells is there too.
-        cosine = np.einsum("ij,ij->i", dual.points_sensor[first], dual.points_sensor[first + 1])
-        np.testing.assert_allclose(cosine, dual.range_m[first] * dual.range_m[first + 1], rtol=1e-5)
-        assert np.all(dual.truth[first] == Truth.GLASS)
-        assert np.all(dual.range_m[first + 1] > dual.range_m[first])
-        assert np.all(dual.truth[first + 1] == Truth.OUTSIDE)
-        assert len(dual.range_m) - len(first) == pytest.approx(len(single.range_m), rel=0.02)
-        twice += len(first)
-    assert twice > 50
-
-
 def test_intensities_tell_materials_apart_and_fall_with_the_angle_of_incidence() -> None:
     settings = SimulationSettings(
         building="small", seed=2, duration_s=10, sensor="vlp16", noise_m=0, ring_gain=0, intensity_noise=0
@@ -254,12 +228,6 @@ def test_intensities_tell_materials_apart_and_fall_with_the_angle_of_incidence()
     floor, wall = sweep.intensity[sweep.truth == Truth.FLOOR], sweep.intensity[own]
     assert floor.max() < 0.75 * wall.max()
     assert wall.min() < 0.75 * wall.max()
-
-
-@pytest.mark.parametrize("sensor", ["os0-128", "mid360"])
-def test_dual_returns_of_sensors_that_publish_them_otherwise_are_refused(sensor: str) -> None:
-    with pytest.raises(InputError, match="dual returns in one cloud are those of hdl32e, vlp16"):
-        draw_scene(SimulationSettings(building="small", sensor=sensor, returns="dual"))
 
 
 def test_walking_people_walk() -> None:

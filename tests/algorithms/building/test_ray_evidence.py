@@ -27,7 +27,7 @@ from ffmap.algorithms.building.ray_evidence import (
     trace_shared,
 )
 from ffmap.algorithms.building.windows import rays_through
-from ffmap.algorithms.scan.summary import NO_ECHO, NO_INTENSITY, Features, select_rays
+from ffmap.algorithms.scan.summary import NO_INTENSITY, Features, select_rays
 from tests.faces import faces as wall_faces
 from tests.two_rooms import TwoRooms
 
@@ -114,13 +114,11 @@ def test_faces_shared_by_workers_are_told_as_by_one(workers: int) -> None:
     for chosen in (walls, walls.select(slice(0, 1)), walls.select(slice(0, 0))):
         features = rooms.scans(rays=2_000)
         rays = len(features.ray_label)
-        features = replace(
-            features, ray_intensity=np.linspace(1, 90, rays).astype(np.float32), ray_echo=np.arange(rays, dtype=np.uint8) % 3
-        )
+        features = replace(features, ray_intensity=np.linspace(1, 90, rays).astype(np.float32))
         shared = trace_shared(chosen, lambda features=features: [features, features], SETTINGS, workers)
         alone = trace_rays(chosen, [features, features], SETTINGS)
         assert shared.rows == alone.rows
-        for name in ("first", "counts", "light", "twice"):
+        for name in ("first", "counts", "light"):
             np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
         assert not len(chosen) or alone.light.any()
 
@@ -163,7 +161,7 @@ def test_cells_sum_up_intensities_by_the_angle_of_incidence() -> None:
         scan=np.array([0]), origin_map=origin[None], floor_map=np.zeros((1, 2, 3)), floor_is_foot=np.zeros(1, bool),
         floor_reach_m=np.full(1, 6.0), ray_count=np.array([5]), plane_count=np.array([0]), ray_end_map=end,
         ray_label=np.full(5, Label.WALL, np.uint8), plane_ends_map=np.zeros((0, 2, 2)), plane_normal=np.zeros((0, 2)),
-        ray_intensity=np.array([10.0, np.nan, 30.0, 50.0, 20.0], np.float32), ray_echo=np.array([0, 1, 2, 1, 0], np.uint8),
+        ray_intensity=np.array([10.0, np.nan, 30.0, 50.0, 20.0], np.float32),
     )  # fmt: skip
     cells = trace_rays(walls, [features], SETTINGS)
     assert np.diff([0.0, *ANGLES_DEG]).max() <= 10.0  # over more, intensities fall by as much as a leaf's differs
@@ -172,14 +170,11 @@ def test_cells_sum_up_intensities_by_the_angle_of_incidence() -> None:
     slant[np.searchsorted(ANGLES_DEG, 27.0)] = 2, 80
     np.testing.assert_array_equal(cells.light[40, 20], steepest)
     np.testing.assert_array_equal(cells.light[10, 20], slant)
-    assert cells.twice[40, 20] == cells.twice[10, 20] == 1
-    assert cells.twice.sum() == 2
     twice_asked = trace_rays(walls, [features, features], SETTINGS)
     np.testing.assert_array_equal(twice_asked.light, 2 * cells.light)
-    dark = trace_rays(walls, [replace(features, ray_intensity=NO_INTENSITY, ray_echo=NO_ECHO)], SETTINGS)
-    assert len(dark.light) == len(dark.twice) == 0
+    dark = trace_rays(walls, [replace(features, ray_intensity=NO_INTENSITY)], SETTINGS)
+    assert len(dark.light) == 0
     np.testing.assert_array_equal(dark.counts, cells.counts)
     without_planes = trace_rays(walls, [features], SETTINGS.model_copy(update={"own_plane_m": 0.0}))
     assert len(without_planes.light) == 0
     np.testing.assert_array_equal(without_planes.counts, cells.counts)
-    np.testing.assert_array_equal(without_planes.twice, cells.twice)
