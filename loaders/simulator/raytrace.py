@@ -205,11 +205,16 @@ def scan(
     if model.layout == "ouster":
         order = order.reshape(model.columns, model.rings).T.ravel()
     truth = np.where(seen, hits.truth, np.uint8(NO_RETURN))
-    time_ns = firing_ns.ravel().astype(np.int64)
-    own = (points, measured, intensity, ring, time_ns, truth)
-    points, measured, intensity, ring, time_ns, truth = (column[order] for column in own)
-    end_ns = start_ns + round(lidar.period_ns)
-    return Sweep(points, measured, intensity, ring, time_ns, truth, start_ns, end_ns)
+    return Sweep(
+        points_sensor=points[order],
+        range_m=measured[order],
+        intensity=intensity[order],
+        ring=ring[order],
+        time_ns=firing_ns.ravel().astype(np.int64)[order],
+        truth=truth[order],
+        stamp_ns=start_ns,
+        end_ns=start_ns + round(lidar.period_ns),
+    )
 
 
 def _range_noise(

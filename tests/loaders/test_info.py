@@ -1,5 +1,7 @@
 """What a bag is said to hold and to lack."""
 
+import numpy as np
+
 from ffmap.app.commands.info import describe
 from ffmap.loaders.info import describe_bag, ring_words, time_words
 from ffmap.loaders.scans import gap_problem
@@ -88,3 +90,16 @@ def test_bad_clouds_are_counted_and_clocks_apart_are_named(tmp_path):
     assert any(
         line.startswith("  unusable: 1 of 30 clouds that were read: /h: the cloud is truncated") for line in lines
     )
+
+
+def test_of_second_returns_a_line_says_that_the_farther_are_read(tmp_path):
+    entries = []
+    for topic, stamp_ns, _ in clouds("/a", 4):
+        points = sweep(seed=len(entries), columns=12)
+        behind = points.copy()
+        for axis in "xyz":
+            behind[axis] *= 1.5
+        entries.append((topic, stamp_ns, cloud(np.concatenate([points, behind]), stamp_ns - PERIOD_NS)))
+    info = describe_bag(write_bag(tmp_path / "a.bag", entries))
+    assert info.clouds[0].points == (len(points), 2 * len(points))
+    assert [line for line in info.warnings if "firings return twice" in line]
