@@ -429,27 +429,19 @@ def _topics(files: Iterable[BagFile]) -> dict[str, Topic]:
     return dict(sorted(topics.items()))
 
 
-_LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
-_LIVOX_CLOUD = (
-    "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points"
-)
-_EXTRA_TYPES = {
-    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
-    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
-    "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
-    **{f"{package}/msg/PacketMsg": "uint8[] buf" for package in ("ouster_ros", "ouster_sensor_msgs", "ouster_msgs")},
-    **{f"{driver}/msg/CustomPoint": _LIVOX_POINT for driver in ("livox_ros_driver", "livox_ros_driver2")},
-    **{f"{driver}/msg/CustomMsg": _LIVOX_CLOUD for driver in ("livox_ros_driver", "livox_ros_driver2")},
-}
+_EXTRA_TYPES = {"tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms"}
 
 
 @cache
 def make_typestore(ros_version: Literal[1, 2]) -> Typestore:
     """The common message types, with those that rosbags lacks: what bags without definitions are read by."""
+    from ffmap.loaders.sensors import SENSORS  # Its modules import this one
+
     store = get_typestore(Stores.ROS1_NOETIC if ros_version == 1 else Stores.ROS2_HUMBLE)
-    for name, text in _EXTRA_TYPES.items():
-        if name not in store.fielddefs:
-            store.register(get_types_from_msg(text, name))
+    for definitions in (_EXTRA_TYPES, *(sensor.definitions for sensor in SENSORS)):
+        for name, text in definitions.items():
+            if name not in store.fielddefs:
+                store.register(get_types_from_msg(text, name))
     return store
 
 

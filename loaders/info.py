@@ -13,11 +13,9 @@ from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import FrameTree, read_frame_tree
 from ffmap.loaders.own_body import without_own_body
-from ffmap.loaders.packets import unread_packets
 from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig import Rig, find_rig
 from ffmap.loaders.scans import (
-    CLOUDS_WANTED,
     CloudIndex,
     SkippedScan,
     check_one_lidar,
@@ -28,6 +26,7 @@ from ffmap.loaders.scans import (
     sample_messages,
     stamp_problem,
 )
+from ffmap.loaders.sensors import CLOUDS_WANTED, unread_topics
 from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
 
 _SAMPLES = 8
@@ -192,7 +191,7 @@ def time_words(decoding: CloudDecoding) -> str:
 def _missing(bag: Bag, clouds: tuple[CloudInfo, ...], tree: FrameTree, rig: Rig | None) -> list[str]:
     if bag.start_ns is None:
         return ["messages: the bag is empty"]
-    lines = [] if rig else list(unread_packets(bag).values())
+    lines = [] if rig else list(unread_topics(bag).values())
     if not clouds:
         lines.append(f"clouds: without {CLOUDS_WANTED} there is nothing to do")
     for cloud in clouds:

@@ -30,11 +30,10 @@ from ffmap.loaders.candidates import (
 )
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
-from ffmap.loaders.ouster import OUSTER_TYPES, frame_of
-from ffmap.loaders.packets import unread_packets
 from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
-from ffmap.loaders.scans import CLOUDS_WANTED, CloudIndex, cloud_hint, cloud_topics, index_clouds
+from ffmap.loaders.scans import CloudIndex, cloud_hint, cloud_topics, index_clouds
+from ffmap.loaders.sensors import CLOUDS_WANTED, sensor_of, unread_topics
 from ffmap.loaders.which_way_up import LidarView, find_upright_base
 
 _OPENING_MIN_DEG = 55.0  # A column of less shows floor and ceiling together only where a wall is far away
@@ -183,7 +182,7 @@ def find_rig(
     Raises InputError: no clouds, an unknown topic or frame, several lidars and no transforms that join them, a rig file
     that is not understood.
     """
-    warnings = list(unread_packets(bag).values())
+    warnings = list(unread_topics(bag).values())
     described = read_rig_file(rig_file) if rig_file else None
     named: dict[Role, Sequence[str]] = {"horizontal": () if horizontal is None else (horizontal,), "vertical": verticals}
     asked = {role: _cloud_topics(bag, names, role) for role, names in named.items() if names}
@@ -319,7 +318,7 @@ def _cloud_topic(bag: Bag, name: str, role: str) -> str:
 def _no_clouds(bag: Bag) -> InputError:
     if bag.start_ns is None:
         return InputError(f"{bag.path}: the bag is empty, it has no messages; record it again")
-    if unread := unread_packets(bag):
+    if unread := unread_topics(bag):
         return InputError(f"{bag.path}: no lidar can be read; {'; '.join(unread.values())}")
     return InputError(
         f"{bag.path}: no {CLOUDS_WANTED} in the bag; its topics are: {', '.join(bag.topics)}. Record the lidars' clouds"
@@ -577,6 +576,6 @@ def _named_topics(bag: Bag, described: RigFile, topics: list[str]) -> dict[str, 
 
 
 def _frame_of(bag: Bag, topic: str) -> str:
-    if bag.topics[topic].msgtype in OUSTER_TYPES:
-        return frame_of(bag, topic)
-    return str(bag.deserialize(next(bag.messages([topic]))).header.frame_id).removeprefix("/")
+    sensor = sensor_of(bag.topics[topic])
+    assert sensor is not None
+    return sensor.frame_of(bag, topic)

@@ -7,7 +7,7 @@ clouds that make up one are gathered by their number.
 
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from itertools import islice
 from weakref import WeakKeyDictionary
@@ -19,9 +19,6 @@ from ffmap.algorithms.base.trajectory import gaps
 from ffmap.loaders.bag import Bag, Message, RawMessage, Topic
 from ffmap.loaders.cloud_digest import digest_of
 from ffmap.loaders.errors import CloudError, InputError, shortened
-from ffmap.loaders.livox import LIVOX_TYPES, livox_cloud
-from ffmap.loaders.ouster import OUSTER_TYPES, OusterDecoder, is_lidars
-from ffmap.loaders.packets import unread_packets
 from ffmap.loaders.pointcloud2 import (
     CLOUD_TYPE,
     CloudDecoding,
@@ -29,12 +26,9 @@ from ffmap.loaders.pointcloud2 import (
     decode,
     describe_layout,
     field_column,
-    merge_clouds,
 )
-from ffmap.loaders.velodyne import VELODYNE_TYPE, VelodyneDecoder
-
-CLOUD_TYPES = (CLOUD_TYPE, VELODYNE_TYPE, *LIVOX_TYPES, *OUSTER_TYPES)
-CLOUDS_WANTED = "PointCloud2, packets of a Velodyne or an Ouster, or Livox CustomMsg"
+from ffmap.loaders.sensors import sensor_of, unread_topics
+from ffmap.loaders.sensors.sensor import Sensor
 
 _HEADER_BYTES = 16 + 64  # Up to the frame's name
 _FRAME_SHARE_MIN = 0.05  # Of a topic's clouds; a few odd ones are no second lidar
@@ -152,10 +146,11 @@ def index_clouds(bag: Bag, topic: str) -> CloudIndex:
 
 
 def _index_clouds(bag: Bag, found: Topic) -> CloudIndex:
-    if found.msgtype not in CLOUD_TYPES:
+    sensor = sensor_of(found)
+    if sensor is None or sensor.unread_reason(bag, found):
         raise InputError(f"{bag.path.name}: topic {found.name} is {found.msgtype}, no point cloud; {cloud_hint(bag)}")
     bag.check_recorded_once(found.name)
-    log_time_ns, counts, stamps, frames = _find_revolutions(bag, found)
+    log_time_ns, counts, stamps, frames = _find_revolutions(bag, found, sensor)
     first = np.cumsum(counts) - counts
     earlier = np.arange(len(log_time_ns)) - np.searchsorted(log_time_ns, log_time_ns, side="left")
     index = CloudIndex(
@@ -171,10 +166,12 @@ def _index_clouds(bag: Bag, found: Topic) -> CloudIndex:
     return index if whole else index.gathered(_clouds_a_turn(bag, found.name))
 
 
-def _find_revolutions(bag: Bag, topic: Topic) -> tuple[IntArray, IntArray, IntArray, tuple[str, ...]]:
+def _find_revolutions(
+    bag: Bag, topic: Topic, sensor: Sensor
+) -> tuple[IntArray, IntArray, IntArray, tuple[str, ...]]:
     """Log times (m,) of a topic's messages; number of messages (r,) and stamp (r,) of each revolution; frames."""
-    if topic.msgtype in OUSTER_TYPES:
-        return *OusterDecoder(bag, topic.name).index(), ()
+    if found := sensor.index(bag, topic.name):
+        return *found, ()
     log_time_ns, stamps, frames = read_headers(bag, topic.name)
     counts: IntArray = np.ones(len(stamps), np.int64)
     if topic.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
@@ -246,21 +243,16 @@ def gap_problem(index: CloudIndex) -> str | None:
 
 def cloud_topics(bag: Bag) -> list[str]:
     """Topics with clouds or packets of a lidar that are read, but for the truth's."""
-    unread = unread_packets(bag)
-    return [t.name for t in bag.topics.values() if _has_clouds(t) and t.name not in unread]
-
-
-def _has_clouds(topic: Topic) -> bool:
-    if not topic.count or topic.name.startswith("/truth/"):
-        return False
-    return is_lidars(topic) if topic.msgtype in OUSTER_TYPES else topic.msgtype in CLOUD_TYPES
+    unread = unread_topics(bag)
+    filled = (t for t in bag.topics.values() if t.count and not t.name.startswith("/truth/"))
+    return [t.name for t in filled if sensor_of(t) and t.name not in unread]
 
 
 def cloud_hint(bag: Bag) -> str:
     """The end of an error message: which topics would do."""
     topics = cloud_topics(bag)
     known = f"the bag's clouds are on: {', '.join(topics)}" if topics else "the bag has no clouds"
-    return "; ".join([known, *unread_packets(bag).values()])
+    return "; ".join([known, *unread_topics(bag).values()])
 
 
 def read_headers(bag: Bag, topic: str) -> tuple[IntArray, IntArray, tuple[str, ...]]:
@@ -433,7 +425,9 @@ def read_messages(
     A CloudError in place of the message says that it cannot be made one. digests: takes the digests of each cloud's
     messages as it is read.
     """
-    to_cloud = _decoder(bag, index.topic)
+    sensor = sensor_of(bag.topics[index.topic])
+    assert sensor is not None
+    to_cloud = sensor.decoder(bag, index.topic)
     for i, group in _gathered(bag, index, first, count):
         if digests is not None:
             digests.extend(map(digest_of, group))
@@ -443,23 +437,6 @@ def read_messages(
             yield i, to_cloud(kept, int(index.stamp_ns[i]))
         except InputError as error:
             yield i, error if isinstance(error, CloudError) else CloudError(str(error))
-
-
-def _decoder(bag: Bag, topic: str) -> Callable[[Sequence[RawMessage], int], Message]:
-    """What makes a revolution's messages and its stamp one PointCloud2; it raises InputError where they cannot be."""
-    msgtype = bag.topics[topic].msgtype
-    if msgtype == VELODYNE_TYPE:
-        velodyne = VelodyneDecoder(bag, topic)
-        return lambda raws, stamp_ns: velodyne.to_cloud(raws)
-    if msgtype in OUSTER_TYPES:
-        return OusterDecoder(bag, topic).to_cloud
-    one = livox_cloud if msgtype in LIVOX_TYPES else Bag.deserialize
-
-    def join(raws: Sequence[RawMessage], stamp_ns: int) -> Message:
-        messages = [one(bag, raw) for raw in raws]
-        return messages[0] if len(messages) == 1 else merge_clouds(messages)
-
-    return join
 
 
 def read_digests(bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None) -> Iterator[bytes]:

@@ -5,6 +5,7 @@ of CustomMsg.msg and CustomPoint.msg, the same in both drivers: https://github.c
 """
 
 import struct
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -13,15 +14,33 @@ from ffmap.loaders.bag import Bag, Message, RawMessage
 from ffmap.loaders.bag_writer import SerializedMessage
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.pointcloud2 import make_cloud, make_header
+from ffmap.loaders.sensors.sensor import Sensor
 
-LIVOX_TYPES = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg")
-
+_DRIVERS = ("livox_ros_driver", "livox_ros_driver2")
+_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
+_CLOUD = "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points"
 _FIELDS = ["offset_time", "x", "y", "z", "reflectivity", "tag", "line"]
 _FORMATS = ["u4", "f4", "f4", "f4", "u1", "u1", "u1"]
 _OFFSETS = [0, 4, 8, 12, 16, 17, 18]
 _POINT_BYTES = 19
 LIVOX_POINT = np.dtype({"names": _FIELDS, "formats": ["<" + kind for kind in _FORMATS], "offsets": _OFFSETS})
 _CDR_POINT_BYTES = 20  # Each begins at a multiple of four; the last one ends where its fields do
+
+
+class Livox(Sensor):
+    """The drivers' own clouds."""
+
+    messages = "Livox CustomMsg"
+    msgtypes = tuple(f"{driver}/msg/CustomMsg" for driver in _DRIVERS)
+    definitions = MappingProxyType(
+        {
+            **{f"{driver}/msg/CustomPoint": _POINT for driver in _DRIVERS},
+            **{f"{driver}/msg/CustomMsg": _CLOUD for driver in _DRIVERS},
+        }
+    )
+
+    def decode(self, bag: Bag, raw: RawMessage) -> Message:
+        return livox_cloud(bag, raw)
 
 
 def livox_cloud(bag: Bag, raw: RawMessage) -> Message:
@@ -63,7 +82,7 @@ def livox_message(ros1: bool, stamp_ns: int, frame_id: str, points: npt.NDArray[
         own[name] = points[name]
     # Behind the last point nothing is aligned.
     data = own.tobytes()[: max(len(points) * step - (step - _POINT_BYTES), 0)]
-    return SerializedMessage(LIVOX_TYPES[1], head + data)
+    return SerializedMessage(Livox.msgtypes[1], head + data)
 
 
 _Head = tuple[

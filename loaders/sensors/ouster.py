@@ -7,6 +7,7 @@ which the driver publishes beside them (`…/lidar_packets` and `…/metadata`):
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,7 @@ from ffmap.algorithms.base.scan import BoolArray, IntArray, UInt8Array
 from ffmap.loaders.bag import Bag, Message, RawMessage, Topic
 from ffmap.loaders.errors import CloudError, InputError, shortened
 from ffmap.loaders.pointcloud2 import make_cloud, make_header
-
-OUSTER_TYPES = tuple(f"{package}/msg/PacketMsg" for package in ("ouster_ros", "ouster_sensor_msgs", "ouster_msgs"))
+from ffmap.loaders.sensors.sensor import Decoder, Sensor
 
 _PACKETS, _CLOUDS, _METADATA = "lidar_packets", "points", "metadata"
 _LENGTH_BYTES = 4  # Of the number before the packet's own bytes; CDR has as many more before it
@@ -29,12 +29,33 @@ _T_MAX_NS = 2**31 - 1  # Columns that were lost are measured at 0: nothing retur
 _FIELDS = {"x": "f4", "y": "f4", "z": "f4", "intensity": "f4", "t": "i4", "reflectivity": "u2", "ring": "u2"}
 
 
-def is_lidars(topic: Topic) -> bool:
-    """Whether packets are a lidar's: those of its IMU have the same type."""
-    return topic.msgtype in OUSTER_TYPES and _PACKETS in topic.name
+class Ouster(Sensor):
+    """Packets as Ouster's driver publishes them."""
+
+    messages = "packets of an Ouster"
+    msgtypes = tuple(f"{package}/msg/PacketMsg" for package in ("ouster_ros", "ouster_sensor_msgs", "ouster_msgs"))
+    definitions = MappingProxyType(dict.fromkeys(msgtypes, "uint8[] buf"))
+
+    def matches(self, topic: Topic) -> bool:
+        """Whether packets are a lidar's: those of its IMU have the same type."""
+        return super().matches(topic) and _PACKETS in topic.name
+
+    def unread_reason(self, bag: Bag, topic: Topic) -> str | None:
+        return _unread_reason(bag, topic.name)
+
+    def frame_of(self, bag: Bag, topic: str) -> str:
+        """The frame that the driver gives the sensor; of several, each has its topic's namespace before it."""
+        alone = len([other for other in bag.topics.values() if self.matches(other) and other.count]) == 1
+        return "os_sensor" if alone else _beside(topic, "os_sensor").removeprefix("/")
+
+    def index(self, bag: Bag, topic: str) -> tuple[IntArray, IntArray, IntArray]:
+        return OusterDecoder(bag, topic, self.frame_of(bag, topic)).index()
+
+    def decoder(self, bag: Bag, topic: str) -> Decoder:
+        return OusterDecoder(bag, topic, self.frame_of(bag, topic)).to_cloud
 
 
-def unread_reason(bag: Bag, topic: str) -> str | None:
+def _unread_reason(bag: Bag, topic: str) -> str | None:
     """Why the packets on a topic are not read, one line; None where they are."""
     clouds, metadata = _beside(topic, _CLOUDS), _beside(topic, _METADATA)
     if _is_filled(bag, clouds):
@@ -63,12 +84,6 @@ def _sdk_version() -> str:
         return ""
 
 
-def frame_of(bag: Bag, topic: str) -> str:
-    """The frame that the driver gives the sensor; of several, each has its topic's namespace before it."""
-    alone = len([t for t in bag.topics.values() if is_lidars(t) and t.count]) == 1
-    return "os_sensor" if alone else _beside(topic, "os_sensor").removeprefix("/")
-
-
 def _beside(topic: str, name: str) -> str:
     """The topic of this name in the same namespace."""
     return topic[: topic.rindex("/") + 1] + name if "/" in topic else name
@@ -77,10 +92,10 @@ def _beside(topic: str, name: str) -> str:
 class OusterDecoder:
     """Decodes the packets of one sensor, as its metadata says. Raises InputError where that cannot be understood."""
 
-    def __init__(self, bag: Bag, topic: str) -> None:
+    def __init__(self, bag: Bag, topic: str, frame_id: str) -> None:
         # Imported where there are packets: few bags have any, and few machines the library.
         self._core: Any = import_module("ouster.sdk.core")
-        self._bag, self._topic, self._frame_id = bag, topic, frame_of(bag, topic)
+        self._bag, self._topic, self._frame_id = bag, topic, frame_id
         self._data_at = _LENGTH_BYTES * bag.ros_version
         name = _beside(topic, _METADATA)
         try:

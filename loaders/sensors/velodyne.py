@@ -3,6 +3,7 @@ them out.
 """
 
 from collections.abc import Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,7 @@ import numpy as np
 from ffmap.loaders.bag import Bag, Message, RawMessage
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.pointcloud2 import make_cloud
-
-VELODYNE_TYPE = "velodyne_msgs/msg/VelodyneScan"
+from ffmap.loaders.sensors.sensor import Decoder, Sensor
 
 VELODYNE_POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
@@ -19,6 +19,22 @@ VELODYNE_POINT = np.dtype(
 """A point as the Velodyne driver lays it out."""
 # Added to the packets' times: the decoder takes a stamp of 0 for a missing one.
 _ANY_TIME_S = 1000.0
+
+
+class Velodyne(Sensor):
+    """Packets as the Velodyne driver publishes them."""
+
+    messages = "packets of a Velodyne"
+    msgtypes = ("velodyne_msgs/msg/VelodyneScan",)
+    definitions = MappingProxyType(
+        {
+            "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
+            "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+        }
+    )
+
+    def decoder(self, bag: Bag, topic: str) -> Decoder:
+        return VelodyneDecoder(bag, topic).to_cloud
 
 
 class VelodyneDecoder:
@@ -33,10 +49,10 @@ class VelodyneDecoder:
         self._velodyne: Any = velodyne_decoder
         self._decoder: Any = velodyne_decoder.ScanDecoder(velodyne_decoder.Config(timestamp_first_packet=True))
 
-    def to_cloud(self, raws: Sequence[RawMessage]) -> Message:
+    def to_cloud(self, raws: Sequence[RawMessage], stamp_ns: int) -> Message:
         """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
 
-        raws: one message, which holds the revolution. Raises CloudError where the packets are of no sensor that
+        raws: one message, which holds the revolution and its stamp. Raises CloudError where the packets are of no sensor that
         velodyne-decoder knows.
         """
         scan = self._bag.deserialize(raws[0])

@@ -11,12 +11,12 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders import bag
 from ffmap.loaders.bag_writer import BagWriter
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.livox import LIVOX_POINT, livox_message
 from ffmap.loaders.pointcloud2 import make_cloud
+from ffmap.loaders.sensors.livox import LIVOX_POINT, livox_message
+from ffmap.loaders.sensors.velodyne import VELODYNE_POINT
 from ffmap.loaders.simulator.raytrace import Sweep
 from ffmap.loaders.simulator.sensors import Lidar, PointLayout
 from ffmap.loaders.simulator.settings import Container
-from ffmap.loaders.velodyne import VELODYNE_POINT
 
 _OUSTER_POINT = np.dtype(
     {
