@@ -1,4 +1,7 @@
-"""The sensors whose messages are read, a module for each maker. To add one, add a module with a subclass of `Sensor`."""
+"""The sensors whose messages are read, a module for each maker.
+
+To add one, add a module with a subclass of `Sensor`.
+"""
 
 from importlib import import_module
 from pkgutil import iter_modules
@@ -9,7 +12,7 @@ from ffmap.loaders.sensors.sensor import Sensor
 for _module in iter_modules(__path__):
     import_module(f"{__name__}.{_module.name}")
 SENSORS = tuple(kind() for kind in Sensor.__subclasses__())
-CLOUDS_WANTED = " or ".join(sensor.messages for sensor in SENSORS if sensor.messages)
+CLOUDS_WANTED = " or ".join(sorted(sensor.messages for sensor in SENSORS if sensor.messages))
 
 
 def sensor_of(topic: Topic) -> Sensor | None:

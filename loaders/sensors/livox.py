@@ -30,7 +30,7 @@ _CDR_POINT_BYTES = 20  # Each begins at a multiple of four; the last one ends wh
 class Livox(Sensor):
     """The drivers' own clouds."""
 
-    messages = "Livox CustomMsg"
+    messages = "clouds of a Livox (CustomMsg)"
     msgtypes = tuple(f"{driver}/msg/CustomMsg" for driver in _DRIVERS)
     definitions = MappingProxyType(
         {

@@ -6,7 +6,7 @@ from ffmap.loaders.sensors.sensor import Sensor
 
 
 class PointCloud2(Sensor):
-    """Any driver's PointCloud2: fields, their units and the rings are recognized by their content."""
+    """PointCloud2 of any driver: `settle_decoding` finds fields, units and rings by content."""
 
     messages = "PointCloud2"
     msgtypes = (CLOUD_TYPE,)
@@ -25,8 +25,8 @@ class CompressedPointCloud2(Sensor):
         command = f"rosrun point_cloud_transport republish {transport} in:={base} raw out:={base}"
         if bag.ros_version == 2:
             command = (
-                f"ros2 run point_cloud_transport republish --ros-args -p in_transport:={transport} -p out_transport:=raw "
-                f"--remap in/{transport}:={topic.name} --remap out:={base}"
+                f"ros2 run point_cloud_transport republish --ros-args -p in_transport:={transport} "
+                f"-p out_transport:=raw --remap in/{transport}:={topic.name} --remap out:={base}"
             )
         what = f"{topic.name}: compressed clouds ({topic.msgtype}) are not read"
         return f"{what}; play the bag with `{command}` and record {base} beside the other topics"

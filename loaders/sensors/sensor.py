@@ -8,7 +8,7 @@ from ffmap.loaders.bag import Bag, Message, RawMessage, Topic
 from ffmap.loaders.pointcloud2 import merge_clouds
 
 Decoder: TypeAlias = Callable[[Sequence[RawMessage], int], Message]
-"""Makes one PointCloud2 of the messages and the stamp of a revolution; raises InputError where it cannot."""
+"""Makes one PointCloud2 of a revolution's messages and stamp; raises InputError where it cannot."""
 
 
 class Sensor:
@@ -36,10 +36,11 @@ class Sensor:
         return str(bag.deserialize(next(bag.messages([topic]))).header.frame_id).removeprefix("/")
 
     def index(self, bag: Bag, topic: str) -> tuple[IntArray, IntArray, IntArray] | None:
-        """Find the revolutions of packets without headers; None where the messages' headers tell them.
+        """Find the revolutions of packets without headers; None where messages have headers.
 
         Returns:
-            Log times (m,) of the messages; number of messages (r,) and stamp (r,) of each revolution; in nanoseconds.
+            Log times (m,) of the messages; number of messages (r,) and stamp (r,) of each
+            revolution; in nanoseconds.
         """
         return None
 
