@@ -19,15 +19,15 @@ def main() -> None:
     from ffmap.app.commands.run import run
     from ffmap.app.commands.simulate import simulate
     from ffmap.app.parameters import one_for_each_core
-    from ffmap.app.run.start import Arguments
+    from ffmap.app.setup.options import RunOptions
     from ffmap.loaders.bag_path import BagPath
 
     with tempfile.TemporaryDirectory(prefix="ffmap-") as folder:
         os.environ[CACHE_VARIABLE] = folder
         bag = Path(folder) / "drive.bag"
         simulate(bag, _DRIVE, quiet=True)
-        workers = one_for_each_core(None)
-        run(Arguments(BagPath((bag,)), Path(folder) / "run", workers=workers, quiet=True), None)
+        options = RunOptions(workers=one_for_each_core(), quiet=True)
+        run(BagPath((bag,)), options, out=Path(folder) / "run")
 
 
 if __name__ == "__main__":

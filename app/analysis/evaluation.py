@@ -299,7 +299,7 @@ def _clouds_of(run: FinishedRun) -> LabelledClouds | None:
         return None
     path = _bag_of(run)
     with open_bag(path) as bag:
-        return LabelledClouds(path, run.input_options.find_rig(bag).verticals, labels)
+        return LabelledClouds(path, run.find_lidars(bag).verticals, labels)
 
 
 def _rooms_of_maps(run: FinishedRun, building: Mapping[str, Any], true_trajectory: Trajectory) -> Metrics:

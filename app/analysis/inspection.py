@@ -21,7 +21,7 @@ from ffmap.app.record.line_reasons import name_of
 from ffmap.app.record.read_back import readable, rows
 from ffmap.app.run.blocks import seed_of
 from ffmap.app.run.poses import given_poses, poses_of
-from ffmap.app.setup.inputs import Inputs, digest_clouds, digest_stamps, find_inputs
+from ffmap.app.setup.inputs import Inputs, digest_clouds, digest_stamps
 from ffmap.app.setup.versions import git_revision
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
@@ -80,7 +80,7 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
             f"{missing}: the run's bag is not there, and a scan is labelled again from it; say with --bag where it is"
         )
     settings = run.settings()
-    inputs = find_inputs(bag_path, run.input_options)
+    inputs = run.find_inputs(bag_path)
     _check_same_clouds(run, inputs)
     if not inputs.verticals:
         raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")
@@ -92,9 +92,8 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     if isinstance(scan, SkippedScan):
         raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
     scan = within_range(scan, settings.scan.range_max_m)
-    options = run.part("options")
-    frame = options.get("trajectory_frame")
-    given = given_poses(options.get("trajectory"), inputs, settings, frame)
+    options = run.options
+    given = given_poses(options.trajectory, inputs, settings, options.trajectory_frame)
     poses = poses_of(inputs, given, settings)
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():

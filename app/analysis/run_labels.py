@@ -19,7 +19,6 @@ from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import stream_labels
 from ffmap.app.folder.names import LABELS
-from ffmap.app.setup.inputs import find_inputs
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.rig import Lidar
@@ -88,7 +87,7 @@ def read_run_labels(run: FinishedRun, with_points: bool = False) -> Iterator[Clo
 def _bag_points(run: FinishedRun, trajectory: Trajectory) -> Iterator[tuple[int, FloatArray]]:
     """Number and placed returns of each cloud of the run's bag."""
     assert run.bag_path is not None
-    inputs = find_inputs(run.bag_path, run.input_options)
+    inputs = run.find_inputs(run.bag_path)
     smoothing = run.settings().smoothing
     lidars = [sensor.lidar for sensor in inputs.verticals]
     with ExitStack() as stack:

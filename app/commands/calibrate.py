@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,8 @@ from ffmap.app.progress import Progress
 from ffmap.app.record.calibration import write_calibration
 from ffmap.app.run.mount_check import CheckedMount, check_mounts, map_of, scans_of
 from ffmap.app.run.stage_mounts import drive_alone, mount_by_motion
-from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
+from ffmap.app.setup.inputs import Inputs, find_inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.app.tables import make_table, table_console
 from ffmap.loaders.bag_path import BagPath
@@ -41,25 +41,24 @@ _MOTION = (
 
 def calibrate(
     bag: BagPath,
-    options: InputOptions,
+    options: RunOptions,
     out: Path,
     recording: Path | None,
     seconds: float,
-    quiet: bool,
-    from_motion: bool = False,
+    from_motion: bool,
 ) -> None:
     """Refine, tell, draw and write; raises InputError where the bag has no two lidars, or too little that both see.
 
     from_motion: whether to start from the lidars' motion in place of the mounts that are given.
     """
-    inputs = find_inputs(bag, replace(options, unplaced=from_motion))
+    inputs = find_inputs(bag, options, unplaced=from_motion)
     horizontal = inputs.horizontal
     if horizontal is None or not inputs.others:
         raise InputError(
             f"{bag}: one lidar alone has no mount to refine; give a bag of two, 'ffmap info {bag.words}' lists them"
         )
     settings = load_settings(None, [])
-    with Progress(quiet) as progress:
+    with Progress(options.quiet) as progress:
         odometry = drive_alone(inputs, horizontal, settings, seconds, progress)
         if from_motion:
             seen = map_of(inputs, odometry, settings, _SCANS)

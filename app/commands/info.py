@@ -3,25 +3,16 @@
 from collections.abc import Sequence
 
 import numpy as np
-import typer
 
-from ffmap.app.setup.inputs import InputOptions
 from ffmap.loaders.bag import BagFile
-from ffmap.loaders.bag_path import BagPath
-from ffmap.loaders.info import BagInfo, CloudInfo, describe_bag, ring_words, size_of, time_words
+from ffmap.loaders.info import BagInfo, CloudInfo, ring_words, size_of, time_words
 
 _REASONS = 3
 """Maximum number of reasons told for which clouds give no scan."""
 
 
-def info(bag: BagPath, options: InputOptions) -> None:
-    """Print a bag's description, a line for each fact, so that it can be searched and compared."""
-    found = describe_bag(bag, options.rig, options.horizontal, options.vertical, options.time_from)
-    for line in describe(found):
-        typer.echo(line)
-
-
 def describe(found: BagInfo) -> list[str]:
+    """A line for each fact, so that descriptions can be searched and compared."""
     bag = found.bag
     facts = f"ROS {bag.ros_version}, {found.size_bytes / 1e6:.1f} MB, {bag.duration_s:.1f} s"
     lines = [f"{bag.path}: {bag.container}, {facts}"]

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,13 @@ from rich.console import Console
 from rich.table import Table
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
-from ffmap.algorithms.maps.area_graph import NO_DOORWAYS, AreaGraph, coarsened, find_rooms
+from ffmap.algorithms.maps.area_graph import (
+    NO_DOORWAYS,
+    AreaGraph,
+    AreaGraphSettings,
+    coarsened,
+    find_rooms,
+)
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.rooms import RoomFigures, compare_room_images, rooms_of_image
 from ffmap.app.folder.atomic import write_json
@@ -20,7 +27,6 @@ from ffmap.app.folder.names import METRICS, ROOMS, check_no_run_loses
 from ffmap.app.folder.pictures import write_rooms_picture
 from ffmap.app.folder.room_files import topology, write_rooms
 from ffmap.app.own_command import view_command
-from ffmap.app.parameters import RoomsParameters
 from ffmap.app.setup.settings import load_settings
 from ffmap.app.tables import make_table
 from ffmap.loaders.errors import InputError
@@ -39,13 +45,103 @@ IMAGES = (".png", ".pgm")
 RecordingWriter = Callable[[Path, AreaGraph], None]
 
 
-def rooms(words: RoomsParameters) -> None:
-    """Segment one map, or every map of a folder that has its truth beside it; write and print what was found."""
-    if words.map_path.is_dir():
-        _segment_folder(words)
+@dataclass(frozen=True)
+class _Segmenter:
+    """How maps are segmented.
+
+    out: the folder that the user named. read: other files of the user's that are read.
+    """
+
+    settings: AreaGraphSettings
+    resolution: float | None
+    out: Path | None
+    doors: Path | None
+    read: tuple[Path, ...]
+
+    def __call__(
+        self, path: Path, out: Path, truth: Path | None
+    ) -> tuple[AreaGraph, RoomFigures | None]:
+        """Segment one map and write its files into `out`."""
+        self._check_out(out, path)
+        grid = read_map(path, self.resolution)
+        if not (grid.cells == Cell.FREE).any():
+            raise InputError(
+                f"{path}: the map has no free cell; free is white (over 250) in an image, and what "
+                "a YAML file's own free_thresh says"
+            )
+        doorways = _doorways(self.doors) if self.doors is not None else NO_DOORWAYS
+        coarse = coarsened(grid, CELLS_MAX)
+        if coarse.cell_m > grid.cell_m:
+            typer.echo(
+                f"{path}: {grid.cells.shape[1]} × {grid.cells.shape[0]} cells are many; "
+                f"segmented with cells of {coarse.cell_m:g} m",
+                err=True,
+            )
+        with ThreadPoolExecutor(1) as beside:
+            # Rerun takes as long to load as a large map to segment, which mostly leaves the
+            # interpreter to others.
+            recording = beside.submit(_prepare_recording, coarse)
+            graph = find_rooms(coarse, self.settings, doorways)
+        if not len(graph):
+            raise InputError(
+                f"{path}: no room has {self.settings.room_min_m2:g} m² or more with pixels of "
+                f"{grid.cell_m:g} m; is the resolution right? see --set area_graph.room_min_m2"
+            )
+        figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
+        _write(out, path, coarse, graph, figures, recording.result())
+        return graph, figures
+
+    def _check_out(self, out: Path, path: Path) -> None:
+        """Check that no file would be replaced that is read, or not of the rooms of this map.
+
+        A folder that the user named may have the rooms of another map; one that the program chose
+        may not.
+        """
+        written = [out / name for name in FILES]
+        read = {file.resolve() for file in (path, *self.read)}
+        for file in written:
+            check_no_run_loses(file)
+            if file.resolve() in read:
+                raise InputError(
+                    f"{file}: is read, and would be replaced; give another folder to --out"
+                )
+        there = [file for file in written if file.exists()]
+        before = _map_of(out)
+        if there and before is None:
+            raise InputError(
+                f"{there[0]}: is there already, and not by 'ffmap rooms'; give another folder "
+                "to --out"
+            )
+        if before is not None and before != str(path.resolve()) and self.out is None:
+            raise InputError(
+                f"{out}: has the rooms of {before} already; give another folder to --out, or the "
+                "same to replace them"
+            )
+
+
+def rooms(
+    path: Path,
+    resolution: float | None = None,
+    out: Path | None = None,
+    truth: Path | None = None,
+    doors: Path | None = None,
+    config: Path | None = None,
+    overrides: Sequence[str] = (),
+) -> None:
+    """Segment a map, or every map of a folder that has its truth beside it; write and print."""
+    read = tuple(file for file in (truth, doors, config) if file is not None)
+    settings = load_settings(config, overrides).area_graph
+    segment = _Segmenter(settings, resolution, out, doors, read)
+    if path.is_dir():
+        if truth is not None:
+            raise InputError(
+                "--truth: for one map; in a folder the truth of X.png is the longest fit of "
+                f"Y{TRUTH_SUFFIX}.png"
+            )
+        _segment_folder(path, segment)
         return
-    graph, figures = _segment(words, words.map_path, words.truth)
-    out = words.out or Path("rooms") / words.map_path.stem
+    out = out or Path("rooms") / path.stem
+    graph, figures = segment(path, out, truth)
     console = Console(highlight=False)
     console.print(_rooms_table(graph))
     if figures is not None:
@@ -53,24 +149,21 @@ def rooms(words: RoomsParameters) -> None:
     typer.echo(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: {view_command(out / RECORDING)}")
 
 
-def _segment_folder(words: RoomsParameters) -> None:
+def _segment_folder(folder: Path, segment: _Segmenter) -> None:
     """Every map that has rooms drawn by hand beside it, and the mean of each kind of maps."""
-    if words.truth is not None:
-        raise InputError(
-            "--truth: for one map; in a folder the truth of X.png is the longest fit of Y_gt_segmentation.png"
-        )
-    pairs = _pairs(words.map_path)
+    pairs = _pairs(folder)
     if not pairs:
         raise InputError(
-            f"{words.map_path}: no map has rooms beside it (as office_a.png has office_a{TRUTH_SUFFIX}.png); give one map"
+            f"{folder}: no map has rooms beside it (as office_a.png has "
+            f"office_a{TRUTH_SUFFIX}.png); give one map"
         )
-    load_settings(words.config, words.set_ or ())
+    out = segment.out or Path("rooms")
     rows: list[list[str]] = []
     failed: list[str] = []
     by_kind: dict[str, list[RoomFigures]] = {}
     for path, truth in pairs:
         try:
-            _, figures = _segment(words, path, truth, many=True)
+            _, figures = segment(path, out / path.stem, truth)
         except InputError as error:
             failed.append(str(error))
             continue
@@ -103,62 +196,6 @@ def _pairs(folder: Path) -> list[tuple[Path, Path]]:
         if path not in truths and fits:
             pairs.append((path, max(fits, key=lambda truth: len(truth.stem))))
     return pairs
-
-
-def _segment(
-    words: RoomsParameters, path: Path, truth: Path | None, many: bool = False
-) -> tuple[AreaGraph, RoomFigures | None]:
-    settings = load_settings(words.config, words.set_ or ()).area_graph
-    out = words.out or Path("rooms")
-    own = out / path.stem if many or words.out is None else out
-    _check_out(own, path, words)
-    grid = read_map(path, words.resolution)
-    if not (grid.cells == Cell.FREE).any():
-        raise InputError(
-            f"{path}: the map has no free cell; free is white (over 250) in an image, and what a YAML file's own free_thresh "
-            "says"
-        )
-    doorways = _doorways(words.doors) if words.doors is not None else NO_DOORWAYS
-    coarse = coarsened(grid, CELLS_MAX)
-    if coarse.cell_m > grid.cell_m:
-        typer.echo(
-            f"{path}: {grid.cells.shape[1]} × {grid.cells.shape[0]} cells are many; "
-            f"segmented with cells of {coarse.cell_m:g} m",
-            err=True,
-        )
-    with ThreadPoolExecutor(1) as beside:
-        # Rerun takes as long to load as a large map to segment, which mostly leaves the interpreter to others.
-        recording = beside.submit(_prepare_recording, coarse)
-        graph = find_rooms(coarse, settings, doorways)
-    if not len(graph):
-        raise InputError(
-            f"{path}: no room has {settings.room_min_m2:g} m² or more with pixels of {grid.cell_m:g} m; "
-            "is the resolution right? see --set area_graph.room_min_m2"
-        )
-    figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
-    _write(own, path, coarse, graph, figures, recording.result())
-    return graph, figures
-
-
-def _check_out(out: Path, path: Path, words: RoomsParameters) -> None:
-    """Raises InputError where a file would be replaced that is read, or that is not of the rooms of this map.
-
-    A folder that the user named may have the rooms of another map; one that the program chose may not.
-    """
-    written = [out / name for name in FILES]
-    read = {file.resolve() for file in (path, words.truth, words.doors, words.config) if file is not None}
-    for file in written:
-        check_no_run_loses(file)
-        if file.resolve() in read:
-            raise InputError(f"{file}: is read, and would be replaced; give another folder to --out")
-    there = [file for file in written if file.exists()]
-    before = _map_of(out)
-    if there and before is None:
-        raise InputError(f"{there[0]}: is there already, and not by 'ffmap rooms'; give another folder to --out")
-    if before is not None and before != str(path.resolve()) and words.out is None:
-        raise InputError(
-            f"{out}: has the rooms of {before} already; give another folder to --out, or the same to replace them"
-        )
 
 
 def _map_of(out: Path) -> str | None:

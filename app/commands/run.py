@@ -1,4 +1,4 @@
-"""ffmap run: from the arguments to a finished run folder, and five lines on what came of it."""
+"""ffmap run: from the options to a finished run folder, and five lines on what came of it."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -8,39 +8,62 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ffmap.app.folder.finished_run import open_run
-from ffmap.app.folder.names import METRICS, RUN_JSON, RunFolder
+from ffmap.app.folder.names import METRICS, RUN_JSON, RunFolder, point_latest_at
 from ffmap.app.own_command import view_command
 from ffmap.app.progress import Progress
-from ffmap.app.run.start import Arguments, Ready, carry_out, interruptible, make_ready, make_ready_again
+from ffmap.app.run.start import Ready, carry_out, interruptible, make_ready, make_ready_again
 from ffmap.app.setup.inputs import Inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Output
+from ffmap.loaders.bag_path import BagPath
 
 if TYPE_CHECKING:
     from ffmap.app.analysis.metrics_tables import Metrics
 
 
-def run(arguments: Arguments, resume: Path | None) -> None:
-    """Run, or go on with a run; raises InputError for what the user can mend, as where another run is at the folder."""
+def run(
+    bag: BagPath,
+    options: RunOptions,
+    config: Path | None = None,
+    overrides: Sequence[str] = (),
+    out: Path | None = None,
+    overwrite: bool = False,
+    latest: bool = False,
+) -> None:
+    """Run on a bag; see `make_ready`. latest: whether `latest` beside the folder is to point at it.
+
+    Raises InputError for what the user can mend, as where another run is at the folder.
+    """
     with ExitStack() as stack:
-        ready = make_ready(arguments, stack) if resume is None else make_ready_again(arguments, resume, stack)
+        ready = make_ready(stack, bag, options, config, overrides, out, overwrite)
+        _perform(ready, latest)
+
+
+def resume(folder: Path, options: RunOptions) -> None:
+    """Go on with a run that was killed, unless it is complete. options: see `make_ready_again`."""
+    with ExitStack() as stack:
+        ready = make_ready_again(stack, folder, options)
         if ready is not None:
-            _perform(ready)
+            _perform(ready, latest=True)
 
 
-def _perform(ready: Ready) -> None:
-    arguments, inputs = ready.arguments, ready.inputs
+def _perform(ready: Ready, latest: bool) -> None:
+    options, inputs = ready.options, ready.inputs
     folder, record = carry_out(ready)
+    if latest:
+        point_latest_at(folder.path.resolve())
     quality = "unknown: the comparison with the truth came to no end, as is told below"
     try:
         metrics = None
-        if arguments.evaluate and inputs.vertical is not None:
-            with interruptible(f"the run is complete, 'ffmap evaluate {folder.path}' compares it with the truth"):
-                metrics = _evaluate(folder, arguments)
-        quality = _quality(folder, inputs, arguments, metrics)
+        if options.evaluate and inputs.vertical is not None:
+            how_to_go_on = f"'ffmap evaluate {folder.path}' compares it with the truth"
+            with interruptible(f"the run is complete, {how_to_go_on}"):
+                metrics = _evaluate(folder, options)
+        quality = _quality(folder, inputs, options, metrics)
     finally:
         # The run is complete, whatever becomes of its comparison with the truth.
-        if not arguments.quiet:
-            recorded = Output.RECORDING in arguments.outputs
+        if not options.quiet:
+            recorded = Output.RECORDING in options.outputs
             lines = {
                 "made": _made(inputs, record),
                 "quality": quality,
@@ -52,7 +75,7 @@ def _perform(ready: Ready) -> None:
                 typer.echo(f"{name + ':':<10} {text}")
 
 
-def _evaluate(folder: RunFolder, arguments: Arguments) -> "Metrics | None":
+def _evaluate(folder: RunFolder, options: RunOptions) -> "Metrics | None":
     """The figures against the truth; None where the bag carries none."""
     from ffmap.app.analysis.evaluation import evaluate_run, has_truth
     from ffmap.app.analysis.metrics_tables import print_metrics
@@ -60,10 +83,10 @@ def _evaluate(folder: RunFolder, arguments: Arguments) -> "Metrics | None":
     finished = open_run(folder.path)
     if not has_truth(finished):
         return None
-    with Progress(arguments.quiet) as progress:
+    with Progress(options.quiet) as progress:
         progress.stage("evaluation", None)
-        metrics = evaluate_run(finished, None, arguments.workers)
-    if arguments.verbose and not arguments.quiet:
+        metrics = evaluate_run(finished, None, options.workers)
+    if options.verbose and not options.quiet:
         print_metrics(metrics)
     return metrics
 
@@ -72,27 +95,32 @@ def _made(inputs: Inputs, record: dict[str, Any]) -> str:
     counts, seconds = record["counts"], record["timings_s"]["total"]
     if inputs.vertical is None:
         return (
-            f"{counts.get('registrations', 0)} scans registered in {seconds:.1f} s; there is nothing to label: "
-            f"{inputs.bag_path.name} has no lidar that sweeps the walls (a vertical one, its spin axis level)"
+            f"{counts.get('registrations', 0)} scans registered in {seconds:.1f} s; there is "
+            f"nothing to label: {inputs.bag_path.name} has no lidar that sweeps the walls (a "
+            "vertical one, its spin axis level)"
         )
     return (
-        f"{counts['scans']} of {counts['clouds']} scans labelled, {counts['walls']} wall faces, {counts['doors']} doors, "
-        f"{counts['rooms']} rooms, in {seconds:.1f} s"
+        f"{counts['scans']} of {counts['clouds']} scans labelled, {counts['walls']} wall faces, "
+        f"{counts['doors']} doors, {counts['rooms']} rooms, in {seconds:.1f} s"
     )
 
 
-def _quality(folder: RunFolder, inputs: Inputs, arguments: Arguments, metrics: "Metrics | None") -> str:
+def _quality(
+    folder: RunFolder, inputs: Inputs, options: RunOptions, metrics: "Metrics | None"
+) -> str:
     if metrics is not None:
         from ffmap.app.analysis.metrics_tables import in_one_line
 
-        return f"{in_one_line(metrics)}; all figures in {folder.path / METRICS}" + (
-            "" if arguments.verbose else ", -v prints them"
-        )
+        said = f"{in_one_line(metrics)}; all figures in {folder.path / METRICS}"
+        return said if options.verbose else f"{said}, -v prints them"
     if inputs.vertical is None:
         return "unknown: only what is labelled is compared with the truth"
-    if not arguments.evaluate:
+    if not options.evaluate:
         return "unknown: not compared with the truth, as --no-evaluate says"
-    return f"unknown: the bag carries no truth; 'ffmap evaluate {folder.path} --truth FILE' compares with another's"
+    return (
+        f"unknown: the bag carries no truth; 'ffmap evaluate {folder.path} --truth FILE' compares "
+        "with another's"
+    )
 
 
 def _warnings(folder: RunFolder, warnings: Sequence[str]) -> str:

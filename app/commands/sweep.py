@@ -22,12 +22,12 @@ from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import METRICS, SWEEP_TABLE, RunFolder, require_writable
 from ffmap.app.own_command import own_command
-from ffmap.app.parameters import SweepParameters, one_for_each_core
 from ffmap.app.progress import Progress
 from ffmap.app.run.workers import ENVIRONMENT
 from ffmap.app.setup.inputs import Inputs, digest_stamps, find_inputs
-from ffmap.app.setup.outputs import SWEEP_OUTPUTS, Output, parse_outputs
-from ffmap.app.setup.settings import Settings, load_settings
+from ffmap.app.setup.options import RunOptions
+from ffmap.app.setup.outputs import Output
+from ffmap.app.setup.settings import Settings
 from ffmap.app.setup.versions import versions
 from ffmap.app.sweeps.plan import (
     Combination,
@@ -72,68 +72,94 @@ class SweepRun:
         return complete and (not self.evaluated or (self.out / METRICS).exists())
 
 
-def sweep(words: SweepParameters) -> int:
+@dataclass(frozen=True)
+class Search:
+    """Which combinations are tried: all of the grid, or a number that is drawn or proposed.
+
+    objective: the figure by which runs are ranked.
+    """
+
+    grid: Sequence[str] = ()
+    random: int | None = None
+    optuna: int | None = None
+    objective: str = "wall_f1"
+    seed: int = 0
+
+
+def sweep(
+    paths: Sequence[Path],
+    base: Settings,
+    options: RunOptions,
+    search: Search,
+    out: Path | None = None,
+) -> int:
     """Perform all runs that are not finished, print and write a table; returns how many failed.
 
-    Raises InputError before anything starts if a setting, a bag, the folder or the scheduler is wrong.
+    Args:
+        paths: bags, each a drive.
+        base: the settings that stay.
+        options: of each run, but for workers: that many runs at once.
+        out: folder of the sweep.
+
+    Raises InputError before anything starts if a setting, a bag, the folder or the scheduler is
+    wrong.
     """
-    base = load_settings(words.config, words.set_ or [])
-    if words.random is not None and words.optuna is not None:
+    if search.random is not None and search.optuna is not None:
         raise InputError("--random and --optuna: choose one of them")
-    searched = words.random is not None or words.optuna is not None
-    parameters = parse_grid(words.grid or (), base, ranges=searched)
-    bags = _bags(words)
-    outputs = parse_outputs(words.outputs, SWEEP_OUTPUTS)
-    truth = words.evaluate and all(carries_truth(inputs.bag_path) for inputs in bags)
-    if truth and not {Output.LABELS, Output.LABELLED} & set(outputs):
+    searched = search.random is not None or search.optuna is not None
+    parameters = parse_grid(search.grid, base, ranges=searched)
+    bags = _bags(paths, options)
+    truth = options.evaluate and all(carries_truth(inputs.bag_path) for inputs in bags)
+    if truth and not {Output.LABELS, Output.LABELLED} & set(options.outputs):
         raise InputError("--outputs: without labels no run can be evaluated; add labels")
-    figures.check_objective(words.objective, truth or words.optuna is None)
-    out = (words.out or Path("runs") / f"sweep-{bags[0].bag_path.stem}").resolve()
+    objective = search.objective
+    figures.check_objective(objective, truth or search.optuna is None)
+    out = (out or Path("runs") / f"sweep-{bags[0].bag_path.stem}").resolve()
     require_writable(out, "give another folder to --out")
-    study = Study(parameters, words.seed, words.objective) if words.optuna is not None else None
+    study = Study(parameters, search.seed, objective) if search.optuna is not None else None
 
     def runs_of(combination: Combination) -> list[SweepRun]:
         settings = apply(base, combination)
-        return [_run_of(bag, settings, combination, outputs, words, out, truth) for bag in bags]
+        return [_run_of(bag, settings, combination, options, out, truth) for bag in bags]
 
     runs: dict[Path, SweepRun] = {}
     try:
         with (
-            _workers(words, out, bags) as (executor, slots),
-            Progress(words.quiet, estimate_s=_WHOLE_SWEEP_S) as progress,
+            _workers(options, out, bags) as (executor, slots),
+            Progress(options.quiet, estimate_s=_WHOLE_SWEEP_S) as progress,
         ):
             for warning in dict.fromkeys(warning for inputs in bags for warning in inputs.warnings):
                 progress.warn(warning)
-            perform = _Performer(executor, progress, runs, words.objective)
+            perform = _Performer(executor, progress, runs, objective)
             if study is None:
-                listed = grid_of(parameters) if words.random is None else None
-                drawn = listed or random_of(parameters, words.random or 0, words.seed)
+                listed = grid_of(parameters) if search.random is None else None
+                drawn = listed or random_of(parameters, search.random or 0, search.seed)
                 perform([run for combination in drawn for run in runs_of(combination)])
             else:
-                assert words.optuna is not None
-                for batch in study.batches(words.optuna, slots):
+                assert search.optuna is not None
+                for batch in study.batches(search.optuna, slots):
                     proposed = [(trial, runs_of(combination)) for trial, combination in batch]
                     perform([run for _, own in proposed for run in own])
                     for trial, own in proposed:
-                        study.tell(trial, mean_of([runs[run.out] for run in own], words.objective))
+                        study.tell(trial, mean_of([runs[run.out] for run in own], objective))
     except KeyboardInterrupt:
         typer.echo("ffmap: interrupted; the same command goes on with the sweep", err=True)
         raise SystemExit(130) from None
     _write_table(out / SWEEP_TABLE, list(runs.values()), parameters)
-    if not words.quiet:
-        _report(out, list(runs.values()), parameters, words.objective)
+    if not options.quiet:
+        _report(out, list(runs.values()), parameters, objective)
     return sum(run.error is not None for run in runs.values())
 
 
-def _bags(words: SweepParameters) -> list[Inputs]:
-    paths = dict.fromkeys(path.resolve() for path in words.bags)
-    bags = [find_inputs(path, words.bag_options) for path in paths]
+def _bags(paths: Sequence[Path], options: RunOptions) -> list[Inputs]:
+    different = dict.fromkeys(path.resolve() for path in paths)
+    bags = [find_inputs(path, options) for path in different]
     for inputs in bags:
         if inputs.vertical is None:
             raise InputError(
                 f"{inputs.bag_path}: no lidar sweeps the walls; there is nothing to label"
             )
-        if inputs.horizontal is None and words.trajectory is None:
+        if inputs.horizontal is None and options.trajectory is None:
             raise InputError(
                 f"{inputs.bag_path}: no horizontal lidar; give --horizontal or --trajectory"
             )
@@ -144,33 +170,25 @@ def _run_of(
     inputs: Inputs,
     settings: Settings,
     combination: Combination,
-    outputs: Sequence[Output],
-    words: SweepParameters,
+    options: RunOptions,
     out: Path,
     evaluated: bool,
 ) -> SweepRun:
     """The run of one bag with one combination. Its folder's name holds a hash of all that it depends on."""
     bag = inputs.bag_path.resolve()
-    options = ["--detail", words.detail.value, "--outputs", ",".join(outputs), "--mount", words.mount]
-    options += ["--time-from", words.time_from, "--workers", "1", "--quiet"]
-    options += [] if words.evaluate else ["--no-evaluate"]
-    files: dict[str, str] = {}
-    for name, value in (("rig", words.rig), ("trajectory", words.trajectory)):
-        if value is not None:
-            path = Path(value)
-            known = path.resolve() if path.is_file() else None
-            files[name] = hashlib.sha256(known.read_bytes()).hexdigest() if known else ""
-            options += [f"--{name}", str(known or value)]
-    for name in ("horizontal", "trajectory_frame"):
-        if (value := getattr(words, name)) is not None:
-            options += [f"--{name.replace('_', '-')}", value]
-    options += [word for topic in words.vertical or () for word in ("--vertical", topic)]
-    options += [word for override in overrides_of(settings) for word in ("--set", override)]
-    stamps = digest_stamps(inputs.used(words.trajectory is not None))
-    known_by = [options, files, stamps, str(bag), versions()]
+    kept = options.stored()
+    words = [] if kept.pop("evaluate") else ["--no-evaluate"]
+    digests, outputs = kept.pop("digests"), ",".join(kept.pop("outputs"))
+    several = {"--vertical": kept.pop("vertical"), "--set": overrides_of(settings)}
+    once = {f"--{name.replace('_', '-')}": value for name, value in kept.items() if value is not None}
+    for name, value in {**once, "--outputs": outputs, "--workers": "1"}.items():
+        words += [name, value]
+    words += [word for name, values in several.items() for value in values for word in (name, value)]
+    stamps = digest_stamps(inputs.used(options.trajectory is not None))
+    known_by = [words, digests, stamps, str(bag), versions()]
     digest = hashlib.sha256(json.dumps(known_by, sort_keys=True).encode()).hexdigest()[:8]
     folder = out / f"{inputs.bag_path.stem}-{digest}"
-    command = ["run", *map(str, bag.parts), "--out", str(folder), "--overwrite", *options]
+    command = ["run", *map(str, bag.parts), "--out", str(folder), "--overwrite", "--quiet", *words]
     return SweepRun(folder, bag.parts[0], command, combination, evaluated)
 
 
@@ -252,20 +270,19 @@ def stop_all() -> None:
 
 @contextmanager
 def _workers(
-    words: SweepParameters, out: Path, bags: Sequence[Inputs]
+    options: RunOptions, out: Path, bags: Sequence[Inputs]
 ) -> Iterator[tuple[Executor, int]]:
     """Who performs the runs, and how many at once."""
-    if words.scheduler is not None:
+    if options.scheduler is not None:
         from ffmap.app.run.cluster import connect
 
         needed = [out, *(part for inputs in bags for part in inputs.bag_path.parts)]
-        with connect(words.scheduler, needed, stop_all) as cluster:
+        with connect(options.scheduler, needed, stop_all) as cluster:
             yield cluster.executor, max(cluster.slots, 1)
         return
-    at_once = one_for_each_core(words.workers)
-    executor = ThreadPoolExecutor(at_once)  # each thread waits for a process
+    executor = ThreadPoolExecutor(options.workers)  # each thread waits for a process
     try:
-        yield executor, at_once
+        yield executor, options.workers
     finally:
         executor.shutdown(wait=False, cancel_futures=True)
         stop_all()

@@ -1,6 +1,6 @@
 """A run that is there already, as `evaluate`, `inspect` and `compare` read it: its record, and whatever it has of its files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,13 +17,15 @@ from ffmap.app.folder.names import (
     is_held,
 )
 from ffmap.app.folder.record import bag_of
-from ffmap.app.setup.inputs import InputOptions
+from ffmap.app.setup.inputs import Inputs, find_inputs, find_lidars
+from ffmap.app.setup.options import RunOptions
+from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings, validate
+from ffmap.loaders.bag import Bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.numbered import all_numbered
-from ffmap.loaders.pointcloud2 import TimeFrom
-from ffmap.loaders.rig import MountCorrection
+from ffmap.loaders.rig import MountCorrection, Rig
 from ffmap.loaders.text_files import require_regular
 
 Record = Mapping[str, Any]
@@ -78,12 +80,12 @@ class FinishedRun:
     @property
     def has_scans(self) -> bool:
         """Whether its recording, if it has one, holds single scans and not the map alone."""
-        return self.part("options").get("detail") != "map"
+        return self.options.detail != Detail.MAP
 
     @property
     def has_lines(self) -> bool:
         """Whether its recording, if it has one, holds every intermediate of single scans."""
-        return self.part("options").get("detail") not in ("map", "scans")
+        return self.options.detail == Detail.LINES
 
     @property
     def registered(self) -> bool:
@@ -131,25 +133,22 @@ class FinishedRun:
         """The topics of the clouds that were labelled, in the order of their lidars."""
         return _topics(self.record)
 
-    @property
-    def input_options(self) -> InputOptions:
-        """What the user said about the bag."""
-        options = self.part("options")
-        rig = options.get("rig")
-        return InputOptions(
-            Path(rig) if rig else None,
-            options.get("horizontal"),
-            topics_said(options.get("vertical")),
-            self.time_from,
-            mount_corrections(self.record),
-            own_body=self.part("settings").get("scan", {}).get("own_body", False),
-        )
+    @cached_property
+    def options(self) -> RunOptions:
+        """What the user said of the run; the defaults where run.json does not."""
+        return RunOptions.model_validate(self.part("options"))
+
+    def find_inputs(self, bag: BagPath) -> Inputs:
+        """What the run read of its bag, wherever that lies now."""
+        return find_inputs(bag, self.options, mount_corrections(self.record), self._without_body)
+
+    def find_lidars(self, bag: Bag) -> Rig:
+        """The lidars of the run's bag, which is open, where the run found them to sit."""
+        return find_lidars(bag, self.options, mount_corrections(self.record), self._without_body)
 
     @property
-    def time_from(self) -> TimeFrom:
-        """Where the firings' times were taken from."""
-        time_from: TimeFrom = self.part("options").get("time_from") or "auto"
-        return time_from
+    def _without_body(self) -> bool:
+        return bool(self.part("settings").get("scan", {}).get("own_body", False))
 
     def settings(self) -> Settings:
         """The settings that the run was made with; raises InputError where this version does not know them."""
@@ -184,11 +183,6 @@ def _mounts(record: Record) -> Mapping[str, Record]:
 
 def _topics(record: Record) -> tuple[str, ...]:
     return tuple(str(lidar["topic"]) for lidar in all_numbered(record.get("rig") or {}, "vertical") if lidar is not None)
-
-
-def topics_said(said: str | Sequence[str] | None) -> tuple[str, ...]:
-    """What run.json keeps of --vertical: one topic, as in runs of earlier versions, or a list; None for none."""
-    return (said,) if isinstance(said, str) else tuple(said or ())
 
 
 def open_run(path: Path) -> FinishedRun:

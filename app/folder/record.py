@@ -2,10 +2,11 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, FiniteFloat, ValidationError
 
+from ffmap.app.setup.options import RunOptions
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError, shortened
 
@@ -14,16 +15,6 @@ class _Bag(BaseModel):
     path: str | None = None
     parts: list[str] | None = None
     digest: str | None = None
-
-
-class _Options(BaseModel):
-    rig: str | None = None
-    horizontal: str | None = None
-    vertical: str | list[str] | None = None
-    time_from: Literal["auto", "azimuth", "none"] | None = None
-    trajectory: str | None = None
-    trajectory_frame: str | None = None
-    detail: str | None = None
 
 
 class _Lidar(BaseModel):
@@ -42,7 +33,7 @@ class _Record(BaseModel):
     recording_id: str | None = None
     outcome: str | None = None
     bag: _Bag | None = None
-    options: _Options | None = None
+    options: RunOptions | None = None
     rig: dict[str, _Lidar | None] | None = None
     mount: _Mount | None = None
     mounts: dict[str, _Mount] | None = None

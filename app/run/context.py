@@ -11,24 +11,9 @@ from ffmap.app.progress import Progress
 from ffmap.app.record.log import Log
 from ffmap.app.record.stream import Recording
 from ffmap.app.setup.inputs import Inputs, check_failed, total_digest
-from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.scans import SkippedScan
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """What is neither a setting of the method nor an input: how much is written, and where to."""
-
-    detail: Detail = Detail.LINES
-    outputs: tuple[Output, ...] = RUN_OUTPUTS
-    connect_url: str | None = None
-    workers: int = 2
-    scheduler: str | None = None
-    """The address of a Dask cluster that labels in place of processes here."""
-    resume: bool = False
-    refine_mount: bool = True
-    """Whether the vertical lidars' mounts are checked, and refined where they are off."""
 
 
 @dataclass
@@ -70,7 +55,11 @@ class RunState:
 
 @dataclass(frozen=True)
 class Run:
-    """A run under way. recording, log: None where none is wanted."""
+    """A run under way.
+
+    resumed: whether results of an earlier start may be in its folder.
+    recording, log: None where none is wanted.
+    """
 
     inputs: Inputs
     settings: Settings
@@ -81,6 +70,7 @@ class Run:
     recording: Recording | None
     log: Log | None
     state: RunState
+    resumed: bool
 
     def warn(self, text: str) -> None:
         """Tell the user now, and again in run.json."""

@@ -60,7 +60,7 @@ def _submit(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Buil
     save(halo, pack(building.halo))
     pending: list[Future[list[SkippedScan]] | None] = []
     for job in jobs:
-        done = job.label.path.with_suffix(FINAL).exists() and run.options.resume
+        done = job.label.path.with_suffix(FINAL).exists() and run.resumed
         finish = FinishJob(job, building.model, halo)
         pending.append(None if done else pool.submit(finish_block, finish))
     return pending

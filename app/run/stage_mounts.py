@@ -35,7 +35,7 @@ def settle_mounts(run: Run) -> Run:
     Raises InputError where extrinsics are off by more than a refinement can mend.
     """
     inputs, horizontal = run.inputs, run.inputs.horizontal
-    if horizontal is None or not inputs.others or not run.options.refine_mount:
+    if horizontal is None or not inputs.others or run.options.mount == "as-given":
         return run
     odometry = drive_alone(inputs, horizontal, run.settings, _FIRST_S, run.progress)
     mounts = check_mounts(inputs, odometry, run.settings, keep_agreeing=True)
@@ -61,7 +61,7 @@ def check_whole_drive(run: Run, trajectory: Trajectory) -> None:
 
     trajectory: T_map_base of the whole drive.
     """
-    if run.options.refine_mount:
+    if run.options.mount == "refine":
         for mount in check_mounts(run.inputs, trajectory, run.settings, keep_agreeing=True):
             if mount.is_off:
                 run.warn(mount.late_warning(run.inputs.bag_path.words))

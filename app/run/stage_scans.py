@@ -113,7 +113,7 @@ class Labeller:
     def _submit(self, poses: KnownPoses) -> None:
         """Hand out the blocks whose poses are known; what a run that is resumed has labelled is not labelled again."""
         # Before all clouds were registered nothing told whether they are still the same.
-        may_be_done = self._run.options.resume and (poses.complete or bool(self._run.record["bag"].get("clouds")))
+        may_be_done = self._run.resumed and (poses.complete or bool(self._run.record["bag"].get("clouds")))
         while len(self._jobs) < len(self._blocks):
             block = self._blocks[len(self._jobs)]
             trajectory = poses.around(self._scans.stamp_ns[block.first : block.first + block.count])
@@ -140,7 +140,7 @@ class Labeller:
         self._summaries.append(summary)
         run.keep_failed([s for each in self._summaries for s in each.failed], len(self._scans), "labelling")
         self._unlogged.append(summary)
-        if len(self._unlogged) >= (_BLOCKS_TOGETHER if run.options.connect_url is None else 1):
+        if len(self._unlogged) >= (_BLOCKS_TOGETHER if run.options.connect is None else 1):
             self._log_metrics()
 
     def _log_metrics(self) -> None:
@@ -154,7 +154,7 @@ class Labeller:
 
     def _place(self, job: PlaceJob) -> Future[None] | None:
         """The work on a block; None where a run that is resumed has done it."""
-        done = self._run.options.resume and job.label.path.with_suffix(PLACED).exists()
+        done = self._run.resumed and job.label.path.with_suffix(PLACED).exists()
         return None if done else self._pool.submit(place_block, job)
 
     def _label_job(self, block: Block, trajectory: Trajectory, poses: KnownPoses) -> LabelJob:

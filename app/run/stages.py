@@ -24,7 +24,7 @@ from ffmap.app.record.log import Log
 from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.record.stream import Recording, send_properties
 from ffmap.app.record.whole_run import layout, log_own_body, log_static, log_warnings
-from ffmap.app.run.context import Run, RunOptions, RunState
+from ffmap.app.run.context import Run, RunState
 from ffmap.app.run.stage_building import build, draw, take_maps
 from ffmap.app.run.stage_final import finish
 from ffmap.app.run.stage_mounts import check_whole_drive, settle_mounts
@@ -32,6 +32,7 @@ from ffmap.app.run.stage_odometry import find_poses
 from ffmap.app.run.stage_scans import Labeller
 from ffmap.app.run.workers import make_pool
 from ffmap.app.setup.inputs import Inputs, digest_stamps
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Output
 from ffmap.app.setup.settings import Settings
 from ffmap.app.setup.versions import versions
@@ -48,6 +49,7 @@ def run(
     folder: RunFolder,
     progress: Progress,
     record: dict[str, Any],
+    resumed: bool = False,
 ) -> dict[str, Any]:
     """Run everything and write the run folder; returns what run.json holds.
 
@@ -64,7 +66,10 @@ def run(
         recording = _open(inputs, options, folder, record, progress)
         scan_stamps_ns = inputs.scans.stamp_ns if inputs.verticals else None
         log = Log(recording.stream, options.detail, scan_stamps_ns=scan_stamps_ns) if recording else None
-        _run_stages(Run(inputs, settings, options, folder, progress, record, recording, log, state), given)
+        run = Run(
+            inputs, settings, options, folder, progress, record, recording, log, state, resumed
+        )
+        _run_stages(run, given)
         if options.workers == 1:
             # All of it was this process's work, whatever else the machine was busy with.
             state.timings_s["cpu"] = time.process_time() - worked
@@ -136,7 +141,7 @@ def _open(
 ) -> Recording | None:
     """The run's recording; None where none is wanted. Raises InputError where the viewer has gone."""
     save = Output.RECORDING in options.outputs
-    if not save and options.connect_url is None:
+    if not save and options.connect is None:
         return None
     try:
         return Recording(
@@ -144,7 +149,7 @@ def _open(
             folder.spool,
             record["recording_id"],
             layout(inputs.line_pairs, options.detail, record, several_lidars=len(inputs.verticals) > 1),
-            options.connect_url,
+            options.connect,
             progress.say,
         )
     except ConnectionError as error:
@@ -201,12 +206,9 @@ def _keep_trajectory(run: Run, trajectory: Trajectory) -> None:
 
 
 def first_record(
-    inputs: Inputs, settings: Settings, options: dict[str, Any], given_poses: str | None
+    inputs: Inputs, settings: Settings, options: RunOptions
 ) -> dict[str, Any]:
-    """What run.json holds from the start: everything that the run is made from.
-
-    given_poses: the file or topic that the poses are taken from; None for the odometry.
-    """
+    """What run.json holds from the start: everything that the run is made from."""
     return {
         "program": PROGRAM,
         "recording_id": str(uuid.uuid4()),
@@ -214,7 +216,7 @@ def first_record(
         "bag": {
             **bag_entry(inputs.bag_path),
             "container": inputs.container,
-            "stamps": digest_stamps(inputs.used(given_poses is not None)),
+            "stamps": digest_stamps(inputs.used(options.trajectory is not None)),
         },
         "base_frame": inputs.rig.base_frame,
         "mounts_from": inputs.rig.mounts_from,
@@ -223,9 +225,9 @@ def first_record(
             | ({} if (body := s.lidar.decoding.own_body) is None else {"own_body_share": round(body.share, 5)})
             for role, s in inputs.by_role.items()
         },
-        "poses_from": given_poses or FROM_ODOMETRY,
+        "poses_from": options.trajectory or FROM_ODOMETRY,
         "settings_hash": settings.short_hash(),
         "settings": settings.model_dump(mode="json"),
-        "options": options,
+        "options": options.stored(),
         "versions": versions(),
     }

@@ -6,13 +6,13 @@ from functools import cached_property
 from pathlib import Path
 
 from ffmap.algorithms.base.scan import Scan
+from ffmap.app.setup.options import RunOptions
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.numbered import numbered
 from ffmap.loaders.own_body import without_own_body
-from ffmap.loaders.pointcloud2 import TimeFrom
 from ffmap.loaders.rig import Lidar, MountCorrection, Rig, find_rig
 from ffmap.loaders.scan_order import ScanOrder
 from ffmap.loaders.scans import (
@@ -32,29 +32,6 @@ _NO_POSE = (
     "its returns are too few, or all in a line, to be registered, its times overlap those of a cloud before it, or it could not "
     "be joined to the map after a gap"
 )
-
-
-@dataclass(frozen=True)
-class InputOptions:
-    """What the user says about the bag."""
-
-    rig: Path | None = None
-    horizontal: str | None = None
-    vertical: tuple[str, ...] = ()
-    time_from: TimeFrom = "auto"
-    mounts: tuple[MountCorrection, ...] = ()
-    """What an earlier look at the bag found of the vertical lidars; not a word of the user's."""
-    unplaced: bool = False
-    """Whether lidars may be named of which nothing says where they sit; they are put at the base's origin."""
-    own_body: bool = True
-    """Whether the robot's own body is left out; see `ScanSettings`, not a word of the user's about the bag."""
-
-    def find_rig(self, bag: Bag) -> Rig:
-        """The lidars of an open bag; raises InputError where they cannot be told."""
-        rig = find_rig(bag, self.rig, self.horizontal, self.vertical, self.time_from, self.unplaced)
-        for mount in self.mounts:
-            rig = rig.with_mount(mount)
-        return without_own_body(bag, rig) if self.own_body else rig
 
 
 @dataclass(frozen=True)
@@ -117,13 +94,43 @@ class Inputs:
         return [*{sensor.lidar.topic: sensor for sensor in wanted if sensor is not None}.values()]
 
 
-def find_inputs(bag_path: BagPath | Path, options: InputOptions) -> Inputs:
-    """Open a bag, find its lidars and settle how their clouds are read.
+def find_lidars(
+    bag: Bag,
+    options: RunOptions,
+    mounts: Iterable[MountCorrection] = (),
+    own_body: bool = True,
+    unplaced: bool = False,
+) -> Rig:
+    """Find the lidars of an open bag.
+
+    Args:
+        mounts: where an earlier run of this bag found vertical lidars.
+        own_body: whether the robot's own body is left out; see `ScanSettings`.
+        unplaced: whether lidars may be named whose extrinsics are unknown; they are put at the
+            base's origin.
+
+    Raises InputError where they cannot be told.
+    """
+    topics = options.horizontal, options.vertical
+    rig = find_rig(bag, options.rig, *topics, options.time_from, unplaced)
+    for mount in mounts:
+        rig = rig.with_mount(mount)
+    return without_own_body(bag, rig) if own_body else rig
+
+
+def find_inputs(
+    bag_path: BagPath | Path,
+    options: RunOptions,
+    mounts: Iterable[MountCorrection] = (),
+    own_body: bool = True,
+    unplaced: bool = False,
+) -> Inputs:
+    """Open a bag, find its lidars as `find_lidars` does, and settle how their clouds are read.
 
     Raises InputError that names the file, topic or frame and says what to do.
     """
     with open_bag(bag_path) as bag:
-        rig = options.find_rig(bag)
+        rig = find_lidars(bag, options, mounts, own_body, unplaced)
         horizontal = _sensor(bag, rig.horizontal) if rig.horizontal else None
         verticals = tuple(_sensor(bag, lidar) for lidar in rig.verticals)
         clocks = [clock_problem(horizontal.index, vertical.index) for vertical in verticals if horizontal]

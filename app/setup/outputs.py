@@ -1,6 +1,5 @@
 """Which files of a run folder are written, and how much the recording holds of each scan."""
 
-from collections.abc import Iterable
 from enum import StrEnum
 
 from ffmap.loaders.errors import InputError
@@ -43,19 +42,14 @@ SWEEP_OUTPUTS = (Output.RECORDING, Output.LABELS, Output.MAPS, Output.GEOJSON)
 
 
 def parse_outputs(text: str | None, default: tuple[Output, ...]) -> tuple[Output, ...]:
-    """The names in a list like recording,maps; `default` where there is none.
+    """The outputs in a list like recording,maps, each once and as ordered above, or `default`.
 
     Raises InputError that names what is unknown and lists what is known.
     """
     if text is None:
         return default
-    return check_outputs(name.strip() for name in text.split(","))
-
-
-def check_outputs(names: Iterable[str]) -> tuple[Output, ...]:
-    """Outputs by name, each once, in the order in which they are declared; raises InputError as `parse_outputs`."""
     known = [output.value for output in Output]
-    wanted = set(names)
+    wanted = {name.strip() for name in text.split(",")}
     for name in sorted(wanted):
         if name not in known:
             raise InputError(f"--outputs: there is no output {name!r}; choose among {','.join(known)}")

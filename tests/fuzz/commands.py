@@ -13,8 +13,8 @@ from ffmap.app.commands import rooms as rooms_command
 from ffmap.app.commands import runs as runs_command
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.map_files import read_map
-from ffmap.app.parameters import RoomsParameters
-from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
+from ffmap.app.setup.inputs import Inputs, find_inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import as_toml, load_settings
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.bag_path import BagPath
@@ -27,9 +27,9 @@ from ffmap.loaders.truth import BUILDING_TOPIC, read_truth
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, header, sweep, tf_message, write_bag
 
 
-def look_over_bag(path: Path, options: InputOptions | None = None) -> None:
+def look_over_bag(path: Path, options: RunOptions | None = None) -> None:
     """info; what a run reads of a bag; its truth and its poses."""
-    options = options or InputOptions()
+    options = options or RunOptions()
     found: list[Inputs] = []
     steps: list[Callable[[], object]] = [
         lambda: describe_bag(path, options.rig, time_from=options.time_from),
@@ -108,7 +108,7 @@ def look_over_packets(folder: Path, packets: list[bytes], stamps_ns: list[int]) 
 
 def look_over_rig(path: Path, bag: Path) -> None:
     read_rig_file(path)
-    look_over_bag(bag, InputOptions(rig=path))
+    look_over_bag(bag, RunOptions(rig=path))
 
 
 def look_over_trajectory(path: Path) -> None:
@@ -120,7 +120,7 @@ def look_over_trajectory(path: Path) -> None:
 
 def look_over_map(path: Path, out: Path) -> None:
     read_map(path)
-    rooms_command.rooms(RoomsParameters(map_path=path, out=out))
+    rooms_command.rooms(path, out=out)
 
 
 def look_over_settings(config: Path | None, words: tuple[str, ...]) -> None:

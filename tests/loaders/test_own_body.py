@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ffmap.app.run.odometry import cache_key
-from ffmap.app.setup.inputs import InputOptions, find_inputs
+from ffmap.app.setup.inputs import find_inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.info import describe_bag
@@ -27,7 +28,7 @@ def test_scans_lack_the_robots_own_body(tmp_path: Path) -> None:
         stamp_ns = START_NS + i * PERIOD_NS
         entries.append(("/points", stamp_ns, cloud(organised, stamp_ns)))
     bag = write_bag(tmp_path / "a.bag", entries)
-    inputs, as_seen = (find_inputs(bag, InputOptions(own_body=held)) for held in (True, False))
+    inputs, as_seen = (find_inputs(bag, RunOptions(), own_body=held) for held in (True, False))
     (warning,) = (text for text in inputs.warnings if "sees the robot itself" in text)
     assert warning.startswith("/points sees the robot itself: ")
     assert warning.endswith(" in base; --set scan.own_body=false keeps them")

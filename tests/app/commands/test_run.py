@@ -31,7 +31,7 @@ from ffmap.app.folder import names as run_folder
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import rooms_file
 from ffmap.app.run import start
-from ffmap.app.run.start import Arguments
+from ffmap.app.setup.options import RunOptions
 from ffmap.blueprints import entities
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
@@ -181,9 +181,9 @@ def test_truth_that_cannot_be_compared_with_is_not_said_to_be_absent(
 
     monkeypatch.setenv("FFMAP_CACHE", environment["FFMAP_CACHE"])
     monkeypatch.setattr(run_command, "_evaluate", damaged)
-    arguments = Arguments(BagPath((bags["bag"],)), tmp_path / "run", detail="map", outputs=("labels",), workers=1)
+    options = RunOptions(detail="map", outputs=("labels",), workers=1)
     with pytest.raises(InputError, match="the truth is damaged"):
-        run_command.run(arguments, None)
+        run_command.run(BagPath((bags["bag"],)), options, out=tmp_path / "run")
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 5
     assert "came to no end" in lines[1]
@@ -674,11 +674,9 @@ def test_viewer_that_ends_before_the_recording_begins_aborts_the_run(
     bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ffmap.app.run.start.check_viewer", lambda url: None)
-    arguments = Arguments(
-        bag=BagPath((bags["bag"],)), out=tmp_path / "a", connect="rerun+http://127.0.0.1:1/proxy", workers=1, quiet=True
-    )
+    options = RunOptions(connect="rerun+http://127.0.0.1:1/proxy", workers=1, quiet=True)
     with pytest.raises(InputError, match="the viewer has ended"):
-        run_command.run(arguments, None)
+        run_command.run(BagPath((bags["bag"],)), options, out=tmp_path / "a")
     assert json.loads((tmp_path / "a" / "run.json").read_text())["outcome"] == "aborted"
 
 

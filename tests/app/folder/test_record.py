@@ -10,7 +10,7 @@ import pytest
 
 from ffmap.app.analysis.comparison import figures
 from ffmap.app.analysis.evaluation import read_doors
-from ffmap.app.folder.finished_run import FinishedRun, open_run
+from ffmap.app.folder.finished_run import FinishedRun, mount_corrections, open_run
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features
 
@@ -45,17 +45,17 @@ def test_what_was_labelled_and_where_it_sits_is_told_of_one_lidar_and_of_several
     mount = {"used": "refined", "T_base_sensor": np.eye(4).tolist(), "clock_ns": 7}
     rig = {role: {"topic": f"/{role}"} for role in ("horizontal", "vertical")}
     one = found(rig=rig, mount=mount, options={"vertical": "/vertical"})
-    assert one.topics == one.input_options.vertical == ("/vertical",)
-    assert [(m.topic, m.clock_ns) for m in one.input_options.mounts] == [("/vertical", 7)]
+    assert one.topics == one.options.vertical == ("/vertical",)
+    assert [(m.topic, m.clock_ns) for m in mount_corrections(one.record)] == [("/vertical", 7)]
     # The lidar of the poses is labelled too: the mount that was looked into is the other's.
     rig = {"horizontal": {"topic": "/a"}, "vertical": {"topic": "/a"}, "vertical_2": {"topic": "/b"}}
     upright = found(rig=rig, mount=mount, options={"vertical": None})
-    assert (upright.topics, upright.input_options.vertical) == (("/a", "/b"), ())
-    assert [m.topic for m in upright.input_options.mounts] == ["/b"]
+    assert (upright.topics, upright.options.vertical) == (("/a", "/b"), ())
+    assert [m.topic for m in mount_corrections(upright.record)] == ["/b"]
     rig["horizontal"] = {"topic": "/c"}
     several = found(rig=rig, mounts={"/a": {"used": "as given"}, "/b": mount}, options={"vertical": ["/b", "/a"]})
-    assert several.input_options.vertical == ("/b", "/a")
-    assert [m.topic for m in several.input_options.mounts] == ["/b"]
+    assert several.options.vertical == ("/b", "/a")
+    assert [m.topic for m in mount_corrections(several.record)] == ["/b"]
     assert found().topics == found(rig={"vertical": None}).topics == ()
 
 

@@ -12,7 +12,8 @@ from ffmap.app.record.read_back import rows
 from ffmap.app.run import blocks, spool
 from ffmap.app.run.arrays import pack
 from ffmap.app.run.blocks import LabelJob, holds_clouds_of, label_block, split_blocks
-from ffmap.app.setup.inputs import InputOptions, check_failed, find_inputs
+from ffmap.app.setup.inputs import check_failed, find_inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings
 from ffmap.blueprints import entities
@@ -26,7 +27,7 @@ from ffmap.loaders.truth import read_truth
 
 def reads_its_bag(bag: Path, run: str, block: Path) -> bool:
     """Whether the worker of a run labels the very clouds that its bag holds."""
-    inputs = find_inputs(BagPath((bag,)), InputOptions())
+    inputs = find_inputs(BagPath((bag,)), RunOptions())
     (first, *_) = split_blocks(len(inputs.scans))
     with open_bag(inputs.bag_path) as opened:
         truth = read_truth(opened)
@@ -69,7 +70,7 @@ def failing(function: Any, calls: set[int], error: Exception) -> Any:
 def test_a_scan_that_fails_midway_leaves_nothing_in_its_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = tmp_path / "a.bag"
     simulate(bag, SimulationSettings(building="small", sensor="vlp16", duration_s=1.0))
-    inputs = find_inputs(BagPath((bag,)), InputOptions())
+    inputs = find_inputs(BagPath((bag,)), RunOptions())
     with open_bag(inputs.bag_path) as opened:
         truth = read_truth(opened)
     assert truth is not None

@@ -10,7 +10,8 @@ from rosbags.rosbag1 import Reader, Writer
 from ffmap.app.cli import main
 from ffmap.app.run import poses
 from ffmap.app.run.poses import GivenPoses, check_lidars_meet, given_poses
-from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
+from ffmap.app.setup.inputs import Inputs, find_inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import make_typestore
 from ffmap.loaders.errors import InputError
@@ -32,7 +33,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def inputs(bag: Path) -> Inputs:
-    return find_inputs(bag, InputOptions())
+    return find_inputs(bag, RunOptions())
 
 
 def written(path: Path, inputs: Inputs, shift_m: np.ndarray, turned_deg: float = 0.0, ahead_s: float = 0.0) -> str:
@@ -136,7 +137,7 @@ def test_clocks_apart_are_named_before_an_earlier_run_is_touched(
     check_lidars_meet(inputs)
     assert inputs.vertical is not None
     apart = rewritten(bag, tmp_path / "apart.bag", inputs.vertical.lidar.topic, 1000)
-    assert any("1000.0 s ahead" in text for text in find_inputs(apart, InputOptions()).warnings)
+    assert any("1000.0 s ahead" in text for text in find_inputs(apart, RunOptions()).warnings)
     earlier = tmp_path / "run"
     earlier.mkdir()
     (earlier / "run.json").write_text(json.dumps({"program": "furniture-free-mapping", "outcome": "complete"}))

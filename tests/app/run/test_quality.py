@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from ffmap.app.commands import run as run_command
-from ffmap.app.run.start import Arguments
+from ffmap.app.setup.options import RunOptions
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.simulator import SimulationSettings, simulate
 
@@ -17,10 +17,9 @@ def metrics(tmp_path_factory: pytest.TempPathFactory) -> Any:
     bag = folder / "office.bag"
     simulate(bag, SimulationSettings(building="office", seed=1, duration_s=25.0))
     run_command.run(
-        Arguments(
-            bag=BagPath((bag,)), out=folder / "run", outputs=("labels", "maps", "geojson"), quiet=True, workers=1
-        ),
-        None,
+        BagPath((bag,)),
+        RunOptions(outputs=("labels", "maps", "geojson"), quiet=True, workers=1),
+        out=folder / "run",
     )
     return json.loads((folder / "run" / "metrics.json").read_text())
 

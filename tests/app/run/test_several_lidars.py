@@ -15,7 +15,8 @@ from ffmap.app.record.read_back import readable, rows
 from ffmap.app.run import spool
 from ffmap.app.run.blocks import LabelJob, label_block, split_blocks
 from ffmap.app.run.mount_check import check_mounts
-from ffmap.app.setup.inputs import InputOptions, find_inputs
+from ffmap.app.setup.inputs import find_inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
@@ -75,7 +76,7 @@ def test_all_that_lie_are_labelled_and_vote_together(folder: Path) -> None:
 
 
 def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None:
-    inputs = find_inputs(folder / "drive", InputOptions())
+    inputs = find_inputs(folder / "drive", RunOptions())
     topics = open_run(folder / "run").topics
     with readable(folder / "run" / "recording.rrd") as recording:
         said = {row.scan: row.values for row in rows(recording.path, entities.SCAN_LIDAR, entities.LIDAR_PLACE)}
@@ -88,7 +89,7 @@ def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None
     assert {int(values[entities.LIDAR_PLACE][0]) for values in said.values()} == {0, 1}
 
 
-def labels_of(inputs_of: InputOptions, folder: Path, name: str) -> dict[tuple[str, int], UInt8Array]:
+def labels_of(inputs_of: RunOptions, folder: Path, name: str) -> dict[tuple[str, int], UInt8Array]:
     """The scans' own labels by topic and stamp, at the true poses."""
     inputs, settings = find_inputs(folder / "drive", inputs_of), Settings()
     with open_bag(inputs.bag_path) as bag:
@@ -106,10 +107,10 @@ def labels_of(inputs_of: InputOptions, folder: Path, name: str) -> dict[tuple[st
 
 
 def test_a_lidars_scans_are_labelled_as_if_it_were_alone(folder: Path) -> None:
-    together = labels_of(InputOptions(), folder, "together")
+    together = labels_of(RunOptions(), folder, "together")
     assert {topic for topic, _ in together} == {LEFT, RIGHT}
     for topic in (LEFT, RIGHT):
-        alone = labels_of(InputOptions(vertical=(topic,)), folder, topic.split("_")[0][1:])
+        alone = labels_of(RunOptions(vertical=(topic,)), folder, topic.split("_")[0][1:])
         of_topic = {key: labels for key, labels in together.items() if key[0] == topic}
         assert alone.keys() == of_topic.keys()
         assert len(alone) > 20
@@ -138,7 +139,7 @@ def test_killed_and_resumed_with_one_worker_it_has_the_same_labels(folder: Path)
 
 
 def test_a_scan_is_labelled_again_bit_for_bit(folder: Path) -> None:
-    inputs = find_inputs(folder / "drive", InputOptions())
+    inputs = find_inputs(folder / "drive", RunOptions())
     # The last but one of the second lidar.
     scan = int(np.flatnonzero(inputs.scans.lidar == 1)[-2])
     done = ffmap_here(
@@ -152,7 +153,7 @@ def test_a_scan_is_labelled_again_bit_for_bit(folder: Path) -> None:
 
 def test_only_the_mount_that_is_off_is_refined(folder: Path) -> None:
     settings = load_settings(None, [])
-    inputs = find_inputs(folder / "drive", InputOptions())
+    inputs = find_inputs(folder / "drive", RunOptions())
     with open_bag(inputs.bag_path) as bag:
         truth = read_truth(bag)
     assert truth is not None

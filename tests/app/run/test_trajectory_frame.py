@@ -9,7 +9,8 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.run.poses import GivenPoses, given_poses
-from ffmap.app.setup.inputs import InputOptions, Inputs, find_inputs
+from ffmap.app.setup.inputs import Inputs, find_inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
@@ -24,7 +25,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Inputs:
     path = tmp_path_factory.mktemp("bags") / "drive.bag"
     values = {"building": "small", "seed": 2, "sensor": "vlp16", "duration_s": 14.0}
     simulate(path, SimulationSettings.model_validate(values))
-    return find_inputs(path, InputOptions())
+    return find_inputs(path, RunOptions())
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,8 @@ import pytest
 from ffmap.app.run import odometry as odometry_stage
 from ffmap.app.run.odometry import Odometry
 from ffmap.app.run.workers import WorkerLostError
-from ffmap.app.setup.inputs import InputOptions, find_inputs
+from ffmap.app.setup.inputs import find_inputs
+from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
@@ -134,7 +135,7 @@ def test_odometry_that_ends_early_says_why(
     monkeypatch.setenv("FFMAP_CACHE", str(tmp_path))
     monkeypatch.setattr(odometry_stage, "_odometry_process", process)
     monkeypatch.setattr(odometry_stage, "process_context", lambda: mp.get_context("fork"))
-    inputs = find_inputs(bag, InputOptions())
+    inputs = find_inputs(bag, RunOptions())
     assert inputs.horizontal is not None
     with pytest.raises(error, match=text):
         list(Odometry(inputs, inputs.horizontal, Settings()))

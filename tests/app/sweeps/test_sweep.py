@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffmap.app.commands.sweep import sweep
+from ffmap.app.commands.sweep import Search, sweep
 from ffmap.app.folder.labels_file import read_labels
-from ffmap.app.parameters import SweepParameters
+from ffmap.app.setup.options import RunOptions
+from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import FFMAP, FFMAP_IN_FRONT, ffmap, ffmap_here, with_cache
@@ -145,12 +146,12 @@ SEEDS = ["seed=0,1"]
         ({"grid": []}, "--grid"),
         ({"grid": ["wall_planes.similarty_m=1"]}, "wall_planes.similarity_m"),
         ({"grid": ["wall_planes.similarity_m=0.05,-1"]}, "similarity_m = -1"),
-        ({"grid": SEEDS, "outputs": "recording"}, "add labels"),
+        ({"grid": SEEDS, "outputs": ("recording",)}, "add labels"),
         ({"grid": SEEDS, "random": 2, "optuna": 2}, "--random"),
         ({"grid": SEEDS, "objective": "wall_f2"}, "wall_f1"),
         ({"grid": SEEDS, "optuna": 2, "evaluate": False}, "truth"),
         ({"grid": SEEDS, "out": Path("file") / "out"}, "cannot be written"),
-        ({"grid": SEEDS, "bags": [Path("no.bag")]}, "no.bag"),
+        ({"grid": SEEDS, "paths": [Path("no.bag")]}, "no.bag"),
         ({"grid": SEEDS, "scheduler": "tcp://127.0.0.1:9"}, "dask scheduler"),
         ({"grid": SEEDS, "scheduler": "nonsense"}, "tcp://127.0.0.1:8786"),
     ],
@@ -161,9 +162,12 @@ def test_mistakes_are_one_line_and_nothing_starts(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("ffmap.app.run.cluster._CONNECT_S", 1.0)
     Path("file").touch()
-    arguments = SweepParameters(**{"bags": [bag], "out": Path("out"), "quiet": True, **words})
+    of_search, of_sweep = ("grid", "random", "optuna", "objective"), ("paths", "out")
+    search = Search(**{name: words[name] for name in of_search if name in words})
+    options = {name: words[name] for name in words if name not in (*of_search, *of_sweep)}
+    paths, out = words.get("paths", [bag]), words.get("out", Path("out"))
     with pytest.raises(InputError) as error:
-        sweep(arguments)
+        sweep(paths, Settings(), RunOptions(quiet=True, **options), search, out)
     assert expected in str(error.value)
     assert "\n" not in str(error.value)
     assert not list(tmp_path.glob("**/run.json"))
@@ -180,13 +184,13 @@ def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: d
 
 def test_without_dask_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    arguments = SweepParameters(bags=[bag], grid=SEEDS, out=tmp_path / "out", scheduler="tcp://127.0.0.1:9", quiet=True)
+    options = RunOptions(scheduler="tcp://127.0.0.1:9", quiet=True)
     with pytest.raises(InputError, match=r"-m pip install distributed' .*'\.\[cluster\]'"):
-        sweep(arguments)
+        sweep([bag], Settings(), options, Search(SEEDS), tmp_path / "out")
 
 
 def test_without_optuna_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    arguments = SweepParameters(bags=[bag], grid=SEEDS, out=tmp_path / "out", optuna=2, quiet=True)
+    options, search = RunOptions(quiet=True), Search(SEEDS, optuna=2)
     with pytest.raises(InputError, match=r"-m pip install optuna' .*'\.\[optuna\]'"):
-        sweep(arguments)
+        sweep([bag], Settings(), options, search, tmp_path / "out")
