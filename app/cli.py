@@ -13,7 +13,6 @@ import typer
 from typer import Argument, Option
 
 from ffmap.app import parameters as shared
-from ffmap.app.parameters import one_for_each_core
 from ffmap.app.quick_imports import quick_imports
 from ffmap.app.setup.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Detail, Output, parse_outputs
 from ffmap.loaders.bag_path import BagPath
@@ -62,7 +61,6 @@ def _rig_file(rig: Path | None) -> Path | None:
 
 @app.command()
 def run(
-    *,
     bag: Annotated[
         list[Path] | None, Argument(metavar="BAG", show_default=False, help=shared.BAG_HELP)
     ] = None,
@@ -144,7 +142,7 @@ def run(
     from ffmap.app.run.workers import start_server
 
     written = parse_outputs(outputs, RUN_OUTPUTS)
-    workers = workers or one_for_each_core()
+    workers = workers or os.cpu_count() or 1
     if workers > 1:
         start_server()
     with quick_imports():
@@ -187,7 +185,6 @@ def run(
 
 @app.command()
 def info(
-    *,
     bag: shared.Bag,
     rig: shared.Rig = None,
     horizontal: shared.Horizontal = None,
@@ -211,7 +208,6 @@ def info(
 
 @app.command()
 def rigs(
-    *,
     name: Annotated[
         str | None,
         Argument(metavar="[NAME]", show_default=False, help="Print the file of this one."),
@@ -248,7 +244,6 @@ def rigs(
 
 @app.command()
 def calibrate(
-    *,
     bag: shared.Bag,
     rig: shared.Rig = None,
     horizontal: shared.Horizontal = None,
@@ -311,7 +306,6 @@ def calibrate(
 
 @app.command()
 def simulate(
-    *,
     out: Annotated[
         Path,
         Argument(show_default=False, help="Bag to write: a file (bag), or a folder (mcap, db3)."),
@@ -398,7 +392,6 @@ def simulate(
 
 @app.command()
 def evaluate(
-    *,
     run_folder: shared.RunFolder,
     truth: Annotated[
         list[Path] | None,
@@ -422,7 +415,7 @@ def evaluate(
     """
     from ffmap.app.run.workers import start_server
 
-    workers = workers or one_for_each_core()
+    workers = workers or os.cpu_count() or 1
     if workers > 1:
         start_server()
     with quick_imports():
@@ -436,7 +429,6 @@ def evaluate(
 
 @app.command()
 def inspect(
-    *,
     run_folder: shared.RunFolder,
     scan: Annotated[
         str,
@@ -480,7 +472,6 @@ def inspect(
 
 @app.command()
 def compare(
-    *,
     run_folders: Annotated[
         list[Path], Argument(metavar="RUN", show_default=False, help="Run folders.")
     ],
@@ -518,7 +509,6 @@ def compare(
 
 @app.command()
 def sweep(
-    *,
     bags: Annotated[
         list[Path],
         Argument(
@@ -619,7 +609,7 @@ def sweep(
         detail=detail,
         outputs=parse_outputs(outputs, SWEEP_OUTPUTS),
         evaluate=evaluate,
-        workers=workers or one_for_each_core(),
+        workers=workers or os.cpu_count() or 1,
         scheduler=scheduler,
         quiet=quiet,
     )
@@ -630,7 +620,6 @@ def sweep(
 
 @app.command()
 def runs(
-    *,
     folder: Annotated[Path, Argument(metavar="DIR", help="Folder with runs.")] = Path("runs"),
     where: Annotated[
         list[str] | None,
@@ -670,7 +659,6 @@ def runs(
 
 @app.command()
 def view(
-    *,
     places: Annotated[
         list[Path],
         Argument(metavar="RUN", show_default=False, help="Run folders, recordings (.rrd)."),
@@ -704,7 +692,6 @@ def view(
 
 @app.command()
 def rooms(
-    *,
     map_path: Annotated[
         Path,
         Argument(
@@ -759,7 +746,6 @@ def rooms(
 
 @app.command()
 def settings(
-    *,
     config: Annotated[
         Path | None, Option(help="Settings to show in place of the defaults.")
     ] = None,
@@ -781,7 +767,6 @@ def settings(
 
 @app.command()
 def demo(
-    *,
     out: Annotated[Path, Option(help="Folder for the demonstration's bag and run.")] = Path("demo"),
 ) -> None:
     """Simulate a small furnished building, run the program on it, and say how to look at the

@@ -1,6 +1,5 @@
 """Options and arguments that several commands share."""
 
-import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -61,8 +60,3 @@ Mount = Annotated[
 Evaluate = Annotated[bool, Option(help="Where a bag carries truth, compare with it.")]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print nothing but errors.")]
 Spawn = Annotated[bool, Option("--spawn", help="Open it in the Rerun viewer.")]
-
-
-def one_for_each_core() -> int:
-    """The default number of processes."""
-    return os.cpu_count() or 1

@@ -18,7 +18,6 @@ def main() -> None:
     # Imported here: Numba reads its folder when it is imported.
     from ffmap.app.commands.run import run
     from ffmap.app.commands.simulate import simulate
-    from ffmap.app.parameters import one_for_each_core
     from ffmap.app.setup.options import RunOptions
     from ffmap.loaders.bag_path import BagPath
 
@@ -26,7 +25,7 @@ def main() -> None:
         os.environ[CACHE_VARIABLE] = folder
         bag = Path(folder) / "drive.bag"
         simulate(bag, _DRIVE, quiet=True)
-        options = RunOptions(workers=one_for_each_core(), quiet=True)
+        options = RunOptions(workers=os.cpu_count() or 1, quiet=True)
         run(BagPath((bag,)), options, out=Path(folder) / "run")
 
 

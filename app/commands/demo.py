@@ -36,4 +36,6 @@ def demo(out: Path) -> None:
     run_command.run(BagPath((bag,)), RunOptions(), out=run, overwrite=True)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
     typer.echo(f"    {view_command(run)}\n")
-    typer.echo(f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything.")
+    typer.echo(
+        f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything."
+    )

@@ -7,7 +7,7 @@ import os
 import statistics
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -174,21 +174,20 @@ def _run_of(
     out: Path,
     evaluated: bool,
 ) -> SweepRun:
-    """The run of one bag with one combination. Its folder's name holds a hash of all that it depends on."""
+    """The run of one bag with one combination; a hash of all it depends on names its folder."""
     bag = inputs.bag_path.resolve()
     kept = options.stored()
-    words = [] if kept.pop("evaluate") else ["--no-evaluate"]
-    digests, outputs = kept.pop("digests"), ",".join(kept.pop("outputs"))
-    several = {"--vertical": kept.pop("vertical"), "--set": overrides_of(settings)}
-    once = {f"--{name.replace('_', '-')}": value for name, value in kept.items() if value is not None}
-    for name, value in {**once, "--outputs": outputs, "--workers": "1"}.items():
-        words += [name, value]
-    words += [word for name, values in several.items() for value in values for word in (name, value)]
+    digests = kept.pop("digests")
+    words = ["--overwrite", "--quiet", *([] if kept.pop("evaluate") else ["--no-evaluate"])]
+    kept |= {"outputs": ",".join(kept["outputs"]), "set": overrides_of(settings), "workers": 1}
+    for name, value in kept.items():
+        values = value if isinstance(value, list) else [] if value is None else [value]
+        words += [f"--{name.replace('_', '-')}={own}" for own in values]
     stamps = digest_stamps(inputs.used(options.trajectory is not None))
     known_by = [words, digests, stamps, str(bag), versions()]
     digest = hashlib.sha256(json.dumps(known_by, sort_keys=True).encode()).hexdigest()[:8]
     folder = out / f"{inputs.bag_path.stem}-{digest}"
-    command = ["run", *map(str, bag.parts), "--out", str(folder), "--overwrite", "--quiet", *words]
+    command = ["run", *map(str, bag.parts), "--out", str(folder), *words]
     return SweepRun(folder, bag.parts[0], command, combination, evaluated)
 
 
@@ -314,7 +313,13 @@ def _report(
     by_combination: dict[tuple[Any, ...], list[SweepRun]] = {}
     for run in runs:
         by_combination.setdefault(tuple(map(str, run.combination.values())), []).append(run)
-    ranked = sorted(by_combination.values(), key=_rank_by(objective))
+    sign = 1.0 if figures.less_is_better(objective) else -1.0
+
+    def rank(own: Sequence[SweepRun]) -> tuple[bool, float]:
+        value = mean_of(own, objective)
+        return value is None, sign * (value or 0.0)
+
+    ranked = sorted(by_combination.values(), key=rank)
     names = figures.short_names(parameter.name for parameter in parameters)
     usual = dict.fromkeys([objective, *figures.HEADLINES])
     there = [name for name in usual if any(name in run.figures for run in runs)]
@@ -341,15 +346,3 @@ def _report(
     best = [own[0].out for own in ranked[:2] if own[0].error is None]
     if len(best) == 2:
         typer.echo(f"compare:   {own_command()} compare {best[1]} {best[0]}")
-
-
-def _rank_by(objective: str) -> Callable[[Sequence[SweepRun]], tuple[bool, float]]:
-    sign = 1.0 if figures.less_is_better(objective) else -1.0
-
-    def rank(runs: Sequence[SweepRun]) -> tuple[bool, float]:
-        value = mean_of(runs, objective)
-        return value is None, sign * (value or 0.0)
-
-    return rank
-
-

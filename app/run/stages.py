@@ -54,7 +54,7 @@ def run(
     """Run everything and write the run folder; returns what run.json holds.
 
     given: T_map_base in place of the odometry, or None. record: what run.json holds at the start; its `recording_id`
-    names the recording.
+    names the recording. resumed: whether results of an earlier start may be in the folder.
     Raises InputError where the bag has no usable cloud.
     """
     worked = time.process_time()
