@@ -338,13 +338,6 @@ def simulate(
             "'ffmap rigs' lists."
         ),
     ] = "plain",
-    returns: Annotated[
-        str | None,
-        Option(
-            help="single: the strongest echo of a firing; dual: also what is behind a pane or an "
-            "edge.  [default: single]"
-        ),
-    ] = None,
     format_: Annotated[str, Option("--format", help="bag (ROS 1), mcap or db3 (ROS 2).")] = "bag",
     duration: Annotated[float, Option(min=1.0, help="Seconds of driving.")] = 60.0,
     set_: Annotated[
@@ -371,8 +364,6 @@ def simulate(
         ffmap simulate three.bag --lidars three
 
         ffmap simulate viral.bag --layout ntu_viral
-
-        ffmap simulate glass.bag --building angled --returns dual
     """
     from ffmap.app.commands import simulate as command
 
@@ -382,7 +373,6 @@ def simulate(
         "sensor": sensor,
         "lidars": lidars,
         "layout": layout,
-        "returns": returns,
         "format": format_,
         "duration_s": duration,
     }

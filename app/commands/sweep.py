@@ -110,7 +110,7 @@ def sweep(
     parameters = parse_grid(search.grid, base, ranges=searched)
     bags = _bags(paths, options)
     truth = options.evaluate and all(carries_truth(inputs.bag_path) for inputs in bags)
-    if truth and not {Output.LABELS, Output.LABELLED} & set(options.outputs):
+    if truth and Output.LABELS not in options.outputs:
         raise InputError("--outputs: without labels no run can be evaluated; add labels")
     objective = search.objective
     figures.check_objective(objective, truth or search.optuna is None)
