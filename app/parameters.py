@@ -10,8 +10,8 @@ BAG_HELP = (
     "folder that holds them."
 )
 OUTPUTS_HELP = (
-    "All that is to be written, as in recording,maps: of recording, labelled (a bag), labels "
-    "(Parquet, without the clouds), cloud, maps, plan, geojson."
+    "What is written, as in recording,maps, or what is written too, as in +labelled-bag: of "
+    "recording, labelled-bag, labels, cloud, maps, plan, geojson."
 )
 
 Bag = Annotated[list[Path], Argument(metavar="BAG", show_default=False, help=BAG_HELP)]

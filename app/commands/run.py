@@ -49,7 +49,7 @@ def resume(folder: Path, options: RunOptions) -> None:
 
 def _perform(ready: Ready, latest: bool) -> None:
     options, inputs = ready.options, ready.inputs
-    folder, record = carry_out(ready)
+    folder, record = ready.folder, carry_out(ready)
     if latest:
         point_latest_at(folder.path.resolve())
     quality = "unknown: the comparison with the truth came to no end, as is told below"

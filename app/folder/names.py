@@ -1,7 +1,6 @@
 """The folder of a run: its files' names, run.json, the spool that a killed run is resumed from.
 
-An earlier run is replaced only once the new one is complete: until then that lies in a folder of its own within. Nothing
-is ever removed but files that runs write.
+Nothing is ever removed but files that runs write.
 """
 
 import os
@@ -38,8 +37,6 @@ FLOOR_PLAN_SVG = "floorplan.svg"
 FLOOR_PLAN_DXF = "floorplan.dxf"
 OVERLAY = "overlay.png"
 SPOOL = "spool"
-REPLACEMENT = ".replacement"
-"""Within the folder of an earlier run: the run that takes its place when it is complete."""
 PROGRAM = "furniture-free-mapping"
 """What run.json says that it was written by."""
 
@@ -116,7 +113,7 @@ def default_path(bag: BagPath, settings_hash: str) -> Path:
 
 
 def create(path: Path, overwrite: bool = False, inputs: Iterable[Path] = ()) -> RunFolder:
-    """The folder of a new run, made if need be; within that of an earlier run which is to be replaced (see `take_place`).
+    """The folder of a new run, made if need be.
 
     Nothing in it is touched before `clear`.
 
@@ -125,25 +122,16 @@ def create(path: Path, overwrite: bool = False, inputs: Iterable[Path] = ()) -> 
     is anything but a run, and where the folder cannot be written.
     """
     try:
-        _check_no_replacement(path, "--out")
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; give a folder to --out")
         if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
             raise InputError(f"{path}: holds files that are no run; give an empty or a new folder to --out")
-        replaces = (path / RUN_JSON).exists()
-        if replaces:
+        if (path / RUN_JSON).exists():
             _check_replaceable(RunFolder(path), overwrite, inputs)
         make_writable(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); give another folder to --out") from error
-    return RunFolder(path / REPLACEMENT if replaces else path)
-
-
-def _check_no_replacement(path: Path, option: str) -> None:
-    if path.resolve().name == REPLACEMENT:
-        raise InputError(
-            f"{path}: is where a run lies until it replaces another; give the folder around it to {option}"
-        )
+    return RunFolder(path)
 
 
 def _check_replaceable(folder: RunFolder, overwrite: bool, inputs: Iterable[Path]) -> None:
@@ -173,66 +161,9 @@ def _state(folder: RunFolder) -> str:
     return "a run"
 
 
-def unfinished(path: Path) -> RunFolder:
-    """Where the run lies that is to be gone on with: within the folder, where it is to replace the one that is there.
-
-    Raises InputError where that folder within is given itself.
-    """
-    _check_no_replacement(path, "--resume")
-    return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT / RUN_JSON).exists() else RunFolder(path)
-
-
-def replacement_in(path: Path) -> RunFolder | None:
-    """What a run that was to replace the one in this folder has left there, complete or not."""
-    return RunFolder(path / REPLACEMENT) if (path / REPLACEMENT).is_dir() else None
-
-
-def take_place_if_complete(path: Path) -> None:
-    """Finish what a kill has interrupted, see `take_place`."""
-    left = replacement_in(path)
-    if left is not None and (left.path / RUN_JSON).exists() and left.read_json().get("outcome") == "complete":
-        take_place(left)
-
-
 def written_files(folder: RunFolder) -> list[str]:
     """Which of the files of a run there are, spool aside."""
     return sorted(entry.name for entry in folder.path.iterdir() if entry.name in file_names() - {SPOOL})
-
-
-def take_place(folder: RunFolder) -> RunFolder:
-    """Let a complete run take the place of the one that it was made to replace; returns its folder from then on.
-
-    Killed at any point, this is gone on with by `ffmap run --resume`: run.json comes last. The user's own files stay.
-    """
-    if folder.path.name != REPLACEMENT:
-        return folder
-    home = RunFolder(folder.path.parent)
-    record = folder.read_json()
-    home.write_json({**home.read_json(), "outcome": "aborted"})
-    for name in file_names() - set(record["files"]):
-        _remove(home.path / name)
-    for name in record["files"]:
-        if name != RUN_JSON:
-            _move(folder.path / name, home.path / name)
-    (folder.path / RUN_JSON).replace(home.path / RUN_JSON)
-    _remove(folder.spool)
-    with suppress(OSError):
-        folder.path.rmdir()
-    return home
-
-
-def _move(source: Path, target: Path) -> None:
-    """A file or a folder, in place of an earlier one; what was moved before a kill is no longer at its source."""
-    aside = source.with_name(f"{source.name}.part")
-    if source.is_dir() and target.is_dir():
-        target.replace(aside)
-    if source.exists():
-        source.replace(target)
-    if aside.is_dir():
-        _remove(aside)
-        for entry in aside.iterdir() if aside.exists() else ():
-            entry.replace(target / entry.name)
-        _remove(aside)
 
 
 def _remove(path: Path) -> None:

@@ -37,7 +37,7 @@ def finish(run: Run, pool: Executor, jobs: tuple[PlaceJob, ...], building: Build
     clouds = clouds_of(inputs.scans, [sensor.lidar.topic for sensor in inputs.verticals])
     writer = LabelsWriter(run.folder.path / LABELS if Output.LABELS in outputs else None, clouds)
     labels = writer.passing(_labels(run, jobs, _submit(run, pool, jobs, building), table))
-    if Output.LABELLED in outputs:
+    if Output.LABELLED_BAG in outputs:
         indices = [sensor.index for sensor in inputs.verticals]
         with ExitStack() as stack:
             bags = [stack.enter_context(open_bag(inputs.bag_path)) for _ in indices]

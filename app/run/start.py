@@ -38,14 +38,13 @@ INTERRUPTED = 130
 class Ready:
     """A run that can begin: all that it needs was found and checked, and no other run gets at its folder.
 
-    home: where its results are to lie in the end. record: what run.json holds at its start.
+    record: what run.json holds at its start.
     resumed: whether an earlier start has left results in its folder.
     """
 
     settings: Settings
     inputs: Inputs
     given: GivenPoses | None
-    home: Path
     folder: RunFolder
     options: RunOptions
     record: dict[str, Any]
@@ -73,22 +72,20 @@ def make_ready(
     """
     settings = load_settings(config, overrides)
     inputs, given = _find(bag, options, settings)
-    home = out or run_folder.default_path(inputs.bag_path, settings.short_hash())
+    path = out or run_folder.default_path(inputs.bag_path, settings.short_hash())
     if options.scheduler is not None:
         # The processes of a cluster work in other folders.
-        inputs, home = replace(inputs, bag_path=inputs.bag_path.resolve()), home.resolve()
+        inputs, path = replace(inputs, bag_path=inputs.bag_path.resolve()), path.resolve()
     named = (*bag.parts, config, options.rig, options.trajectory)
     read = [Path(name) for name in named if name is not None and Path(name).exists()]
-    folder = run_folder.create(home, overwrite, read)
-    stack.enter_context(run_folder.held(home))
+    folder = run_folder.create(path, overwrite, read)
+    stack.enter_context(run_folder.held(path))
     options = _viewer(options)
-    # A replacement that was killed when only its move was left is the earlier run now.
-    run_folder.take_place_if_complete(home)
     run_folder.clear(folder)
     record = stages.first_record(inputs, settings, options)
     if given is not None:
         record |= {"map_origin": given.origin_m.tolist(), "poses_frame": given.frame}
-    return Ready(settings, inputs, given, home, folder, options, record, resumed=False)
+    return Ready(settings, inputs, given, folder, options, record, resumed=False)
 
 
 def make_ready_again(stack: ExitStack, path: Path, now: RunOptions) -> Ready | None:
@@ -98,10 +95,10 @@ def make_ready_again(stack: ExitStack, path: Path, now: RunOptions) -> Ready | N
     """
     path = path if now.scheduler is None else path.resolve()
     stack.enter_context(run_folder.held(path))
-    folder = run_folder.unfinished(path)
+    folder = RunFolder(path)
     record = folder.read_json()
     if record.get("outcome") == "complete":
-        typer.echo(f"{run_folder.take_place(folder).path} is complete already; nothing to resume")
+        typer.echo(f"{path} is complete already; nothing to resume")
         return None
     bag, options, settings = _as_begun(path, record)
     options, mounts = options.resumed_with(now), mount_corrections(record)
@@ -114,7 +111,7 @@ def make_ready_again(stack: ExitStack, path: Path, now: RunOptions) -> Ready | N
     _check_same_bag(inputs, folder, record)
     folder.spool.mkdir(exist_ok=True)
     options = _viewer(options)
-    return Ready(settings, inputs, given, path, folder, options, record, resumed=True)
+    return Ready(settings, inputs, given, folder, options, record, resumed=True)
 
 
 def _find(
@@ -129,15 +126,15 @@ def _find(
     return replace(inputs, warnings=(*inputs.warnings, *given.warnings)), given
 
 
-def carry_out(ready: Ready) -> tuple[RunFolder, dict[str, Any]]:
-    """Run all stages; returns the run's folder in its place, and what its run.json holds."""
+def carry_out(ready: Ready) -> dict[str, Any]:
+    """Run all stages; returns what run.json then holds."""
     inputs = ready.inputs
-    how_to_go_on = f"'ffmap run --resume {ready.home}' goes on with the run"
+    how_to_go_on = f"'ffmap run --resume {ready.folder.path}' goes on with the run"
     with interruptible(how_to_go_on), Progress(ready.options.quiet) as progress:
         for warning in (*inputs.warnings, *_little_space(ready.folder.path)):
             progress.warn(warning)
         trajectory = None if ready.given is None else ready.given.trajectory
-        record = stages.run(
+        return stages.run(
             inputs,
             trajectory,
             ready.settings,
@@ -147,8 +144,6 @@ def carry_out(ready: Ready) -> tuple[RunFolder, dict[str, Any]]:
             ready.record,
             ready.resumed,
         )
-        folder = run_folder.take_place(ready.folder)
-    return folder, record
 
 
 def _little_space(folder: Path) -> list[str]:

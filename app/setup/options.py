@@ -45,6 +45,14 @@ class RunOptions(BaseModel):
         """Earlier versions wrote one topic, or null."""
         return (value,) if isinstance(value, str) else value or ()
 
+    @field_validator("outputs", mode="before")
+    @classmethod
+    def _as_named_now(cls, value: object) -> object:
+        """Earlier versions wrote "labelled" for the labelled bag."""
+        if not isinstance(value, list):
+            return value
+        return [Output.LABELLED_BAG if name == "labelled" else name for name in value]
+
     def stored(self) -> dict[str, Any]:
         """What run.json keeps; with absolute paths and digests, as files may change meanwhile."""
         # Whoever reads run.json need not wait for the compiled code that comes with it.

@@ -21,7 +21,7 @@ class Output(StrEnum):
 
     RECORDING = "recording"
     """recording.rrd and, where the truth is known, evaluation.rrd."""
-    LABELLED = "labelled"
+    LABELLED_BAG = "labelled-bag"
     """labelled.bag or labelled/: every vertical cloud again, with its labels."""
     LABELS = "labels"
     """labels.parquet: the labels alone, a hundredth of the labelled bag; what compare, inspect and evaluate read."""
@@ -35,8 +35,8 @@ class Output(StrEnum):
     """walls.geojson, doors.geojson, rooms.geojson, and rooms_NAME.geojson of the maps that the paper compares with."""
 
 
-RUN_OUTPUTS = tuple(Output)
-"""What a single run writes."""
+RUN_OUTPUTS = tuple(output for output in Output if output is not Output.LABELLED_BAG)
+"""What a single run writes: the labelled bag alone is as large as all else together."""
 SWEEP_OUTPUTS = (Output.RECORDING, Output.LABELS, Output.MAPS, Output.GEOJSON)
 """What each run of a sweep writes: all that its figures are made from, and no cloud."""
 
@@ -44,12 +44,15 @@ SWEEP_OUTPUTS = (Output.RECORDING, Output.LABELS, Output.MAPS, Output.GEOJSON)
 def parse_outputs(text: str | None, default: tuple[Output, ...]) -> tuple[Output, ...]:
     """The outputs in a list like recording,maps, each once and as ordered above, or `default`.
 
+    A list that begins with +, as in +labelled-bag, adds to `default`.
     Raises InputError that names what is unknown and lists what is known.
     """
     if text is None:
         return default
     known = [output.value for output in Output]
-    wanted = {name.strip() for name in text.split(",")}
+    wanted = {name.strip() for name in text.removeprefix("+").split(",")}
+    if text.startswith("+"):
+        wanted |= set(default)
     for name in sorted(wanted):
         if name not in known:
             raise InputError(f"--outputs: there is no output {name!r}; choose among {','.join(known)}")

@@ -67,7 +67,7 @@ def runs(environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) 
     for name, settings in (("usual", ()), ("other", SETTINGS)):
         found[name] = folder / name
         sets = [word for setting in settings for word in ("--set", setting)]
-        done = ffmap_here(environment, "run", bag, "--out", found[name], *sets, "--quiet")
+        done = ffmap_here(environment, "run", bag, "--out", found[name], *sets, "--quiet", "--outputs", "+labelled-bag")
         assert done.returncode == 0, done.stderr
     return found
 

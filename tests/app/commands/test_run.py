@@ -82,7 +82,7 @@ def finished_as_said(
 ) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """A run on the ROS 1 bag, and what it said."""
     out = tmp_path_factory.mktemp("runs") / "whole"
-    done = ffmap(environment, "run", bags["bag"], "--out", out)
+    done = ffmap(environment, "run", bags["bag"], "--out", out, "--outputs", "+labelled-bag")
     assert done.returncode == 0, done.stderr
     return out, done
 
@@ -321,7 +321,7 @@ def test_what_odometry_measured_lies_on_the_timeline_that_opens(finished: Path) 
 def test_every_container_gives_the_same_labels(
     container: str, bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    options = ("--no-evaluate", "--detail", "map", "--workers", "1")
+    options = ("--no-evaluate", "--detail", "map", "--workers", "1", "--outputs", "labelled-bag")
     done = ffmap_here(environment, "run", bags[container], "--out", tmp_path / "run", *options)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "labelled").is_dir()
@@ -580,20 +580,6 @@ def test_run_is_replaced_where_the_user_says_so(
     assert {path.name for path in copy.iterdir()} == {"notes.txt", "run.json", "trajectory.tum", *maps}
     record = json.loads((copy / "run.json").read_text())
     assert set(record["files"]) == {"run.json", "trajectory.tum", *maps}
-
-
-def test_earlier_run_stays_until_the_new_one_is_complete(
-    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
-) -> None:
-    copy = shutil.copytree(finished, tmp_path / "run")
-    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
-    words = ("run", bags["bag"], "--out", copy, "--overwrite", "--outputs", "labels", "--no-evaluate")
-    kill_once(environment, lambda: list(copy.glob("*/spool/*.arrow")), *words)
-    assert {path: path.read_bytes() for path in before} == before
-    assert ffmap_here(environment, "evaluate", copy).returncode == 0
-    done = ffmap_here(environment, "run", "--resume", copy)
-    assert done.returncode == 0, done.stderr
-    assert {path.name for path in copy.iterdir()} == {"run.json", "trajectory.tum", "labels.parquet"}
 
 
 @pytest.mark.parametrize("stage", ["odometry", "scans", "final"])

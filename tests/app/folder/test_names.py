@@ -1,4 +1,4 @@
-"""Replacing a run: nothing goes before the new run is complete, and nothing ever that no run wrote."""
+"""Replacing a run: nothing is removed that no run wrote."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ffmap.app.folder import names as run_folder
-from ffmap.app.folder.names import LABELLED_FOLDER, REPLACEMENT, RUN_JSON, RunFolder, create, take_place, unfinished
+from ffmap.app.folder.names import LABELLED_FOLDER, RUN_JSON, RunFolder, create
 from ffmap.loaders.errors import InputError
 
 
@@ -49,60 +49,16 @@ def home(tmp_path: Path) -> RunFolder:
 
 def contents(folder: RunFolder) -> dict[str, str]:
     found = {str(p.relative_to(folder.path)): p.read_text() for p in folder.path.rglob("*") if p.is_file()}
-    found.pop(RUN_JSON)
+    found.pop(RUN_JSON, None)
     return found
 
 
-def test_new_run_takes_the_place_of_the_earlier_one_when_it_is_complete(home: RunFolder) -> None:
+def test_what_runs_write_is_removed_and_nothing_else(home: RunFolder) -> None:
     before = contents(home)
     folder = create(home.path, overwrite=True)
-    run_folder.clear(folder)
     assert contents(home) == before
-    write_run(folder, "new", ("recording.rrd", "labels.parquet", "labelled/metadata.yaml"))
-    assert take_place(folder) == home
-    assert contents(home) == {
-        **dict.fromkeys(("recording.rrd", "labels.parquet", "labelled/metadata.yaml"), "new"),
-        **dict.fromkeys(USERS, "mine"),
-    }
-    assert home.read_json()["label"] == "new"
-    assert not (home.path / REPLACEMENT).exists()
-
-
-@pytest.mark.parametrize("steps", range(12))
-def test_killed_while_it_takes_its_place_it_goes_on(
-    steps: int, home: RunFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = create(home.path, overwrite=True)
     run_folder.clear(folder)
-    new = ("recording.rrd", "labels.parquet", "labelled/metadata.yaml", "labelled/labelled_1.mcap", "walls.geojson")
-    write_run(folder, "new", new)
-    left = steps
-
-    class Killed(BaseException):
-        pass
-
-    def counted(method):
-        def step(self, *args, **options):
-            nonlocal left
-            if left == 0:
-                raise Killed
-            left -= 1
-            return method(self, *args, **options)
-
-        return step
-
-    with monkeypatch.context() as patch:
-        for name in ("replace", "unlink", "rmdir"):
-            patch.setattr(Path, name, counted(getattr(Path, name)))
-        try:
-            take_place(folder)
-        except Killed:
-            assert home.read_json()["outcome"] == "aborted" or steps == 0
-    if unfinished(home.path) != home:
-        take_place(unfinished(home.path))
-    assert contents(home) == {**dict.fromkeys(new, "new"), **dict.fromkeys(USERS, "mine")}
-    assert home.read_json()["label"] == "new"
-    assert home.read_json()["outcome"] == "complete"
+    assert contents(home) == dict.fromkeys(USERS, "mine")
 
 
 def test_what_no_run_wrote_is_refused(tmp_path: Path) -> None:
@@ -129,19 +85,6 @@ def test_run_is_not_replaced_by_one_that_reads_it(name: str, home: RunFolder, tm
     assert contents(home) == before
 
 
-def test_folder_of_a_replacement_is_no_place_for_a_run(home: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = contents(home)
-    inside = home.path / REPLACEMENT
-    with pytest.raises(InputError, match="give the folder around it to --out"):
-        create(inside)
-    write_run(create(home.path, overwrite=True), "new", ("cloud.ply",))
-    monkeypatch.chdir(inside)
-    for path in (inside, Path()):
-        with pytest.raises(InputError, match="give the folder around it to --resume"):
-            unfinished(path)
-    assert {name: text for name, text in contents(home).items() if not name.startswith(REPLACEMENT)} == before
-
-
 def test_latest_points_at_the_newest_run_and_no_other_link_is_lost(home: RunFolder) -> None:
     latest, newer = home.path.parent / "latest", home.path.parent / "newer"
     run_folder.point_latest_at(home.path)
@@ -157,20 +100,7 @@ def test_latest_points_at_the_newest_run_and_no_other_link_is_lost(home: RunFold
 
 def test_every_file_of_a_run_is_known_by_its_name() -> None:
     written = {value for name, value in vars(run_folder).items() if name.isupper() and isinstance(value, str)}
-    assert written - {REPLACEMENT, run_folder.PROGRAM, run_folder.SWEEP_TABLE} <= run_folder.file_names()
-
-
-def test_what_is_complete_takes_its_place_before_the_next_replacement(home: RunFolder) -> None:
-    run_folder.take_place_if_complete(home.path)
-    folder = create(home.path, overwrite=True)
-    run_folder.clear(folder)
-    write_run(folder, "half", ("cloud.ply",), outcome="running")
-    run_folder.take_place_if_complete(home.path)
-    assert home.read_json()["label"] == "earlier"
-    write_run(folder, "new", ("cloud.ply",))
-    run_folder.take_place_if_complete(home.path)
-    assert home.read_json()["label"] == "new"
-    assert contents(home) == {"cloud.ply": "new", **dict.fromkeys(USERS, "mine")}
+    assert written - {run_folder.PROGRAM, run_folder.SWEEP_TABLE} <= run_folder.file_names()
 
 
 def test_nothing_of_one_run_is_written_to_another_that_took_its_place(home: RunFolder) -> None:

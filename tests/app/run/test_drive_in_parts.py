@@ -62,7 +62,7 @@ def test_a_run_on_parts_that_was_killed_goes_on_to_the_same_labels(
 ) -> None:
     first, second, third = cut_in_three(whole, tmp_path)
     out = tmp_path / "run"
-    words = ("run", third, first, second, "--out", out, "--outputs", "labelled,labels", "--quiet")
+    words = ("run", third, first, second, "--out", out, "--outputs", "labelled-bag,labels", "--quiet")
     kill_once(environment, lambda: list(out.glob("spool/*.arrow")), *words)
     away = second.rename(tmp_path / "away.bag")
     refused = ffmap_here(environment, "run", "--resume", out)

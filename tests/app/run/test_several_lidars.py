@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         building="small", seed=3, duration_s=3.0, sensor="vlp16", lidars="three", format="mcap"
     )
     simulate(path / "drive", settings)
-    outputs = "recording,labelled,labels,maps,geojson"
+    outputs = "recording,labelled-bag,labels,maps,geojson"
     done = ffmap_here(with_cache(path / "cache"), "run", path / "drive", "--out", path / "run", "--outputs", outputs)
     assert done.returncode == 0, done.stderr
     return path
