@@ -332,7 +332,8 @@ def test_killed_run_is_resumed_with_the_same_labels(
     bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
     out, bag = tmp_path / "killed", Path(shutil.copy(bags["bag"], tmp_path))
-    kill_once(environment, lambda: list(out.glob("spool/*.arrow")), "run", bag, "--out", out, "--no-evaluate")
+    words = ("run", bag, "--out", out, "--no-evaluate", "--outputs", "labelled-bag")
+    kill_once(environment, lambda: list(out.glob("spool/*.arrow")), *words)
     record = json.loads((out / "run.json").read_text())
     assert record["outcome"] == "running"
     for options in ({"outputs": 3}, {"rig": 5}, {"time_from": "never"}):
