@@ -4,8 +4,11 @@ Each command imports what it needs when it is called: 'ffmap --help' answers at 
 """
 
 import errno
+import io
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -775,7 +778,8 @@ def main() -> None:
     os.environ.update(ENVIRONMENT | os.environ | compiled_code())
     try:
         # Not standalone: Typer's own way to tell of a mistake takes five lines, and it says nothing of an interruption.
-        code = app(standalone_mode=False, prog_name="ffmap")
+        with _help_at_once():
+            code = app(standalone_mode=False, prog_name="ffmap")
     except _OptionError as error:
         sys.exit(_tell_of_options(error))
     except BrokenPipeError:
@@ -793,6 +797,22 @@ def main() -> None:
     if code == _INTERRUPTED:
         typer.echo("ffmap: interrupted", err=True)
     sys.exit(code or 0)
+
+
+@contextmanager
+def _help_at_once() -> Iterator[None]:
+    """Write a page of help in one go where another program reads it.
+
+    A reader that ends early, as grep -q does, then leaves no broken pipe and no exit code of 1.
+    """
+    out = sys.__stdout__
+    helping = not {"-h", "--help"}.isdisjoint(sys.argv)
+    if not helping or out is None or sys.stdout is not out or out.isatty():
+        yield
+        return
+    with redirect_stdout(io.StringIO()) as page:
+        yield
+    os.write(out.fileno(), page.getvalue().encode())
 
 
 def _in_one_line(error: InputError | MemoryError | OSError) -> str | None:

@@ -36,7 +36,7 @@ from ffmap.blueprints import entities
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP_BEHIND, FFMAP_IN_FRONT, ffmap, ffmap_here, kill_once, with_cache
+from tests.program import FFMAP, FFMAP_BEHIND, FFMAP_IN_FRONT, ffmap, ffmap_here, kill_once, with_cache
 from tests.receiver import content, receiving, shown
 
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
@@ -693,6 +693,15 @@ def test_odometry_from_the_cache_is_told(
     done = ffmap_here(environment, "run", bags["bag"], "--out", tmp_path / "a", *options)
     cache = Path(environment["FFMAP_CACHE"]) / "odometry"
     assert f"odometry: taken from the cache in {cache}; with FFMAP_CACHE" in done.stderr
+
+
+def test_help_may_be_read_in_part(environment: dict[str, str]) -> None:
+    """By grep -q, in a script that ends where a program of a pipe fails."""
+    with subprocess.Popen([*FFMAP, "run", "--help"], env=environment, stdout=subprocess.PIPE, bufsize=0) as process:
+        assert process.stdout is not None
+        assert process.stdout.read(1)
+        process.stdout.close()
+        assert process.wait() == 0
 
 
 def test_hints_name_what_helps(environment: dict[str, str], finished: Path, tmp_path: Path) -> None:
