@@ -151,6 +151,7 @@ def run(
     with quick_imports():
         from ffmap.app.commands import run as command
         from ffmap.app.setup.options import RunOptions
+        from ffmap.app.setup.settings import load_settings
 
     options = RunOptions(
         rig=_rig_file(rig),
@@ -170,16 +171,17 @@ def run(
         quiet=quiet,
         verbose=verbose,
     )
-    settings = [*(set_ or ()), *([f"grid_map.doors={doors}"] if doors else [])]
+    overrides = [*(set_ or ()), *([f"grid_map.doors={doors}"] if doors else [])]
     if resume is not None:
-        if bag or out or config or settings or overwrite:
+        if bag or out or config or overrides or overwrite:
             raise InputError(
                 "--resume goes on as the run was started: give no bag, --out, --config, --set "
                 "or --overwrite with it"
             )
         command.resume(resume, options)
     elif bag:
-        command.run(BagPath(tuple(bag)), options, config, settings, out, overwrite, latest=True)
+        settings = load_settings(config, overrides)
+        command.run(BagPath(tuple(bag)), settings, options, out, overwrite, latest=True)
     else:
         raise InputError(
             "give a bag, or --resume with a run folder; 'ffmap run --help' has examples"

@@ -19,6 +19,7 @@ def main() -> None:
     from ffmap.app.commands.run import run
     from ffmap.app.commands.simulate import simulate
     from ffmap.app.setup.options import RunOptions
+    from ffmap.app.setup.settings import Settings
     from ffmap.loaders.bag_path import BagPath
 
     with tempfile.TemporaryDirectory(prefix="ffmap-") as folder:
@@ -26,7 +27,7 @@ def main() -> None:
         bag = Path(folder) / "drive.bag"
         simulate(bag, _DRIVE, quiet=True)
         options = RunOptions(workers=os.cpu_count() or 1, quiet=True)
-        run(BagPath((bag,)), options, out=Path(folder) / "run")
+        run(BagPath((bag,)), Settings(), options, out=Path(folder) / "run")
 
 
 if __name__ == "__main__":

@@ -468,8 +468,8 @@ def read_scans(
 ) -> Iterator[tuple[int, Scan | SkippedScan]]:
     """Clouds [first, first + count) as scans with their number in the bag.
 
-    A cloud that cannot be read, one without a valid point, one that contradicts
-    itself and one whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`.
+    A cloud that cannot be read, one without a valid point, one that contradicts itself, and one
+    whose stamp does not go on from those before are SkippedScans. digests: as in `read_messages`.
     """
     for i, message in read_messages(bag, index, first, count, digests):
         stamp = int(index.stamp_ns[i])

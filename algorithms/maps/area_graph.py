@@ -159,7 +159,7 @@ def find_rooms(
     doorways: FloatArray = NO_DOORWAYS,
     windows: FloatArray = NO_LINES,
     path_map: FloatArray | None = None,
-    bounds: Sequence[Faces] | None = None,
+    bounds: Sequence[Faces] = (),
 ) -> AreaGraph:
     """The Area Graph of a grid map.
 
@@ -197,8 +197,7 @@ def find_rooms(
     numbers = np.flatnonzero(np.bincount(label.ravel()))
     numbers = numbers[numbers > 0]
     outlines = _outlines(label, numbers, view, reach_m)
-    if bounds is not None:
-        outlines = lay_on_faces(outlines, bounds, grid.cell_m)
+    outlines = lay_on_faces(outlines, bounds, grid.cell_m)
     index, outlines = _by_size(numbers, outlines, count)
     door_rooms = tuple((int(a), int(b)) for a, b in index[sides])
     return AreaGraph(

@@ -29,15 +29,21 @@ class Aligned:
     information: FloatArray
 
 
+_RESOLUTION_M = 0.2
+"""Edge (m) of the cubes to one point each of which clouds are thinned."""
+_NEIGHBOURS = 12
+"""Number of neighbours that a point's covariance is estimated from."""
+
+
 class GaussianCloud:
     """Points thinned to one in each cube, each with the covariance of its neighbourhood.
 
-    points: (n, 3) metres. resolution_m: the cube's edge. neighbours: how many points a covariance is estimated from.
+    points: (n, 3) metres.
     """
 
-    def __init__(self, points: FloatArray, resolution_m: float, neighbours: int) -> None:
+    def __init__(self, points: FloatArray) -> None:
         self.cloud, _ = small_gicp.preprocess_points(
-            points.astype(np.float64), downsampling_resolution=resolution_m, num_neighbors=neighbours
+            points.astype(np.float64), downsampling_resolution=_RESOLUTION_M, num_neighbors=_NEIGHBOURS
         )
 
     def __len__(self) -> int:

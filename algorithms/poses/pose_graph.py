@@ -28,12 +28,8 @@ Loops that agree with one another, and not with a slip of the odometry, have to 
 before they fit: at first all registrations count, and at last those that agree (graduated
 non-convexity: Yang, Antonante, Tzoumas and Carlone 2020).
 """
-_RESOLUTION_M = 0.2
-"""Edge (m) of the cubes to one point each of which submaps are thinned."""
 _VOXEL_M = 0.2
 """Edge (m) of the voxels of one Gaussian each: larger ones would blend the two sides of a wall."""
-_NEIGHBOURS = 12
-"""Number of neighbours that a point's covariance is estimated from."""
 _LOOPS_MAX = 6
 """Maximum number of earlier passes, the nearest ones, that a submap is joined with."""
 _DISTANCE_M = 0.4
@@ -139,7 +135,7 @@ def close_loops(
         own = range(max(0, scan[number] - half), min(len(T_odom_sensor), scan[number] + half + 1))
         T_submap_odom = transforms.invert(T_start[number])
         points = [transforms.apply(T_submap_odom @ T_odom_sensor[i], clouds_sensor[i]) for i in own]
-        return GaussianCloud(np.concatenate(points), _RESOLUTION_M, _NEIGHBOURS)
+        return GaussianCloud(np.concatenate(points))
 
     T = T_start
     edges: dict[tuple[int, int], _Edge] = {}
@@ -167,8 +163,8 @@ def _first_again(
     points = np.concatenate([transforms.apply(T_odom_sensor[i], clouds_sensor[i]) for i in after])
     # Few scans need larger voxels than elsewhere to hold a turn.
     gaussians = GaussianMap(2.0 * _VOXEL_M)
-    gaussians.insert(GaussianCloud(points, _RESOLUTION_M, _NEIGHBOURS), np.eye(4))
-    first = GaussianCloud(clouds_sensor[0], _RESOLUTION_M, _NEIGHBOURS)
+    gaussians.insert(GaussianCloud(points), np.eye(4))
+    first = GaussianCloud(clouds_sensor[0])
     aligned = gaussians.register(first, T_odom_sensor[0], _DISTANCE_M, _ITERATIONS_MAX)
     return aligned.T_map_cloud if aligned.inlier_share >= _INLIER_SHARE_MIN else T_odom_sensor[0]
 

@@ -28,10 +28,6 @@ _SAME_DEG, _SAME_M = 10.0, 0.5  # registrations that differ by less are of one p
 _AGREEMENT_MIN = 0.3
 """Of 70 scans, the best place in another building's map has at most 0.12, the right place in their own at least 0.49."""
 _RIVAL = 0.05  # a place at the end of what is within reach must agree by so much more than the expected one
-_RESOLUTION_M = 0.2
-"""Edge (m) of the cubes to one point each of which scans are thinned."""
-_NEIGHBOURS = 12
-"""Number of neighbours that a point's covariance is estimated from."""
 LOST_DISTANCE_M = 0.5
 """Maximum distance (m) of a point from its Gaussian where a registration within `distance_m` jumps,
 or hardly anything fits (`WEAK_INLIER_SHARE`): its guess was off. What this finds is registered
@@ -52,7 +48,7 @@ WEAK_INLIER_SHARE = 0.4
 """Minimum share of a scan that fits the map; with less, the registration is called weak."""
 _PASSES_MAX = 3
 """Maximum number of times that a sweep is put together and registered, each time by the motion that
-the last one found; the second scan, with which the motion becomes known, at least three times."""
+the last one found."""
 _BEND_DEG = 0.25
 """A sweep is put together again where the motion that was found differs by more than this (degrees)
 over half a sweep from the one by which it was put together."""
@@ -256,8 +252,7 @@ class Refiner:
             guesses = list(expected)
             change = may_change(stamp_ns - self._trusted_ns)
             # The second scan is registered from rest on, then with the motion that was found.
-            passes = _PASSES_MAX if self._first is None else max(_PASSES_MAX, 3)
-            for number in range(passes):
+            for number in range(_PASSES_MAX):
                 if self._first is not None:
                     self._start_again(*self._first, last, motion_per_ns)
                 source = self._put_together(scan, companion, stamp_ns, motion_per_ns)
@@ -347,7 +342,7 @@ class Refiner:
         seen = [pair for pair in self._seen if np.linalg.norm(pair[0][:3, 3] - T_odom_last[:3, 3]) < reach_m]
         seen = seen[:: -(-len(seen) // _RECALLED_MAX)]
         points_odom = np.concatenate([transforms.apply(T, points) for T, points in seen])
-        cloud_odom = GaussianCloud(points_odom, _RESOLUTION_M, _NEIGHBOURS)
+        cloud_odom = GaussianCloud(points_odom)
         self._map.insert(cloud_odom, np.eye(4))
         return Seen(cloud_odom, self._T_level_odom)
 
@@ -371,7 +366,7 @@ class Refiner:
         if companion is not None and self._T_sensor_companion is not None and self._settings.companion_points_max:
             most = self._settings.companion_points_max
             points.append(self._moved(companion, most, self._T_sensor_companion, stamp_ns, motion_per_ns))
-        return GaussianCloud(np.concatenate(points), _RESOLUTION_M, _NEIGHBOURS)
+        return GaussianCloud(np.concatenate(points))
 
     def _register(
         self, source: GaussianCloud, guesses: list[FloatArray], expected: list[FloatArray], change: "Change"

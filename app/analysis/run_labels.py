@@ -74,7 +74,7 @@ def read_run_labels(run: FinishedRun, with_points: bool = False) -> Iterator[Clo
             own = following[1] if following is not None and following[0] == scan else None
             if own is not None and len(own) != len(label):
                 raise InputError(
-                    f"{run.bag_path}: is not the bag that {run.path} was made from; put that one there"
+                    f"{run.bag_path}: is not the bag that {run.path} was made from; put that one there, or move this one away"
                 )
             topic, stamp_ns = cloud or (only, int(trajectory.stamp_ns[row]))
             yield CloudLabels(scan, topic, stamp_ns, label, label_scan, own)

@@ -11,6 +11,7 @@ from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import RUN_JSON, require_writable
 from ffmap.app.own_command import own_command, view_command
 from ffmap.app.setup.options import RunOptions
+from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
@@ -33,7 +34,7 @@ def demo(out: Path) -> None:
     typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
     simulate(bag, {"building": "small", "seed": 3, "duration_s": SECONDS})
     typer.echo("labelling every scan, mapping the building, recording every intermediate ...")
-    run_command.run(BagPath((bag,)), RunOptions(), out=run, overwrite=True)
+    run_command.run(BagPath((bag,)), Settings(), RunOptions(), out=run, overwrite=True)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
     typer.echo(f"    {view_command(run)}\n")
     typer.echo(

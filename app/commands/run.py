@@ -15,6 +15,7 @@ from ffmap.app.run.start import Ready, carry_out, interruptible, make_ready, mak
 from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Output
+from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag_path import BagPath
 
 if TYPE_CHECKING:
@@ -23,9 +24,8 @@ if TYPE_CHECKING:
 
 def run(
     bag: BagPath,
+    settings: Settings,
     options: RunOptions,
-    config: Path | None = None,
-    overrides: Sequence[str] = (),
     out: Path | None = None,
     overwrite: bool = False,
     latest: bool = False,
@@ -35,7 +35,7 @@ def run(
     Raises InputError for what the user can mend, as where another run is at the folder.
     """
     with ExitStack() as stack:
-        ready = make_ready(stack, bag, options, config, overrides, out, overwrite)
+        ready = make_ready(stack, bag, settings, options, out, overwrite)
         _perform(ready, latest)
 
 

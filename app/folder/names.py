@@ -259,7 +259,6 @@ def require_writable(path: Path, instead: str) -> None:
 
 def clear(folder: RunFolder) -> None:
     """Remove what an earlier run has left, once everything about the new run is known to be in order."""
-    folder.path.mkdir(exist_ok=True)
     for name in file_names():
         _remove(folder.path / name)
         _remove(folder.path / f"{name}.part")

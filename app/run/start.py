@@ -22,7 +22,7 @@ from ffmap.app.run.poses import GivenPoses, check_lidars_meet, given_poses
 from ffmap.app.run.workers import WorkerLostError
 from ffmap.app.setup.inputs import Inputs, digest_clouds, digest_stamps, find_inputs
 from ffmap.app.setup.options import RunOptions
-from ffmap.app.setup.settings import Settings, load_settings, validate
+from ffmap.app.setup.settings import Settings, validate
 from ffmap.app.setup.versions import versions
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
@@ -54,9 +54,8 @@ class Ready:
 def make_ready(
     stack: ExitStack,
     bag: BagPath,
+    settings: Settings,
     options: RunOptions,
-    config: Path | None = None,
-    overrides: Sequence[str] = (),
     out: Path | None = None,
     overwrite: bool = False,
 ) -> Ready:
@@ -64,19 +63,17 @@ def make_ready(
 
     Args:
         stack: holds the run's folder until it is left.
-        config, overrides: as `load_settings` takes them.
         out: the run's folder; None for a new one.
         overwrite: whether a run that is in the folder already may be replaced.
 
     Raises InputError for what the user can mend.
     """
-    settings = load_settings(config, overrides)
     inputs, given = _find(bag, options, settings)
     path = out or run_folder.default_path(inputs.bag_path, settings.short_hash())
     if options.scheduler is not None:
         # The processes of a cluster work in other folders.
         inputs, path = replace(inputs, bag_path=inputs.bag_path.resolve()), path.resolve()
-    named = (*bag.parts, config, options.rig, options.trajectory)
+    named = (*bag.parts, options.rig, options.trajectory)
     read = [Path(name) for name in named if name is not None and Path(name).exists()]
     folder = run_folder.create(path, overwrite, read)
     stack.enter_context(run_folder.held(path))

@@ -24,7 +24,7 @@ class Output(StrEnum):
     LABELLED_BAG = "labelled-bag"
     """labelled.bag or labelled/: every vertical cloud again, with its labels."""
     LABELS = "labels"
-    """labels.parquet: the labels alone, a hundredth of the labelled bag; what compare, inspect and evaluate read."""
+    """labels.parquet: the labels alone, a thousandth of the labelled bag; what compare, inspect and evaluate read."""
     CLOUD = "cloud"
     """cloud.ply."""
     MAPS = "maps"
@@ -36,7 +36,7 @@ class Output(StrEnum):
 
 
 RUN_OUTPUTS = tuple(output for output in Output if output is not Output.LABELLED_BAG)
-"""What a single run writes: the labelled bag alone is as large as all else together."""
+"""What a single run writes: the labelled bag is larger than all of these together."""
 SWEEP_OUTPUTS = (Output.RECORDING, Output.LABELS, Output.MAPS, Output.GEOJSON)
 """What each run of a sweep writes: all that its figures are made from, and no cloud."""
 

@@ -12,7 +12,9 @@ from ffmap.loaders.sensors.sensor import Sensor
 for _module in iter_modules(__path__):
     import_module(f"{__name__}.{_module.name}")
 SENSORS = tuple(kind() for kind in Sensor.__subclasses__())
-CLOUDS_WANTED = " or ".join(sorted(sensor.messages for sensor in SENSORS if sensor.messages))
+*_MOST, _LAST = sorted(sensor.messages for sensor in SENSORS if sensor.messages)
+CLOUDS_WANTED = f"{', '.join(_MOST)} or {_LAST}"
+"""What a user records, in words."""
 
 
 def sensor_of(topic: Topic) -> Sensor | None:

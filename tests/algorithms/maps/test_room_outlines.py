@@ -56,7 +56,7 @@ def building(rooms: TwoRooms, with_faces: bool) -> AreaGraph:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings(), KNEE_M)
     faces = (standing_stretches(immobile, GridMapSettings(), KNEE_M), *sides_of(immobile.doors), immobile.windows)
-    bounds = faces if with_faces else None
+    bounds = faces if with_faces else ()
     doorways = doorways_of(immobile.doors)
     return find_rooms(grid, AreaGraphSettings(), doorways, immobile.windows.ends, drive.path_map, bounds)
 

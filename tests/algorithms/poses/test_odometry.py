@@ -293,8 +293,8 @@ def test_the_side_of_a_wall_that_comes_into_view_is_not_taken_for_its_other_side
         flat([-4, 0.18, 0], [4, 0.18, 2.6], 6), flat([-1.5, -5, 0], [1.5, -5, 2.6], 7), flat([-1.5, -5, 0], [1.5, 2, 0], 8),
         flat([-4, 0.18, 0], [4, 2, 0], 9), flat([-4, 2, 0], [4, 2, 2.6], 10),
     ]  # fmt: skip
-    refiner._map.insert(GaussianCloud(np.concatenate(room), 0.2, 12), np.eye(4))
-    cloud = GaussianCloud(np.concatenate(seen), 0.2, 12)
+    refiner._map.insert(GaussianCloud(np.concatenate(room)), np.eye(4))
+    cloud = GaussianCloud(np.concatenate(seen))
     found = refiner._register(cloud, [np.eye(4)], [np.eye(4)], may_change(PERIOD_NS))
     assert not found.refused
     off_m = float(np.linalg.norm(found.T_odom_sensor[:3, 3]))

@@ -315,7 +315,7 @@ def test_poses_that_differ_are_told_and_labels_compared_all_the_same(
         np.testing.assert_array_equal(mine[scan]["positions"], usual[scan]["positions"])
 
 
-def test_the_file_of_the_labels_has_what_the_labelled_bag_has(runs: dict[str, Path], tmp_path: Path) -> None:
+def test_the_file_of_the_labels_has_what_the_labelled_bag_has(runs: dict[str, Path]) -> None:
     bag = labels_of(runs["other"])
     clouds = list(read_run_labels(open_run(runs["other"])))
     assert [cloud.scan for cloud in clouds] == list(range(SCANS))

@@ -32,6 +32,7 @@ from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import rooms_file
 from ffmap.app.run import start
 from ffmap.app.setup.options import RunOptions
+from ffmap.app.setup.settings import Settings
 from ffmap.blueprints import entities
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
@@ -183,7 +184,7 @@ def test_truth_that_cannot_be_compared_with_is_not_said_to_be_absent(
     monkeypatch.setattr(run_command, "_evaluate", damaged)
     options = RunOptions(detail="map", outputs=("labels",), workers=1)
     with pytest.raises(InputError, match="the truth is damaged"):
-        run_command.run(BagPath((bags["bag"],)), options, out=tmp_path / "run")
+        run_command.run(BagPath((bags["bag"],)), Settings(), options, out=tmp_path / "run")
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 5
     assert "came to no end" in lines[1]
@@ -663,7 +664,7 @@ def test_viewer_that_ends_before_the_recording_begins_aborts_the_run(
     monkeypatch.setattr("ffmap.app.run.start.check_viewer", lambda url: None)
     options = RunOptions(connect="rerun+http://127.0.0.1:1/proxy", workers=1, quiet=True)
     with pytest.raises(InputError, match="the viewer has ended"):
-        run_command.run(BagPath((bags["bag"],)), options, out=tmp_path / "a")
+        run_command.run(BagPath((bags["bag"],)), Settings(), options, out=tmp_path / "a")
     assert json.loads((tmp_path / "a" / "run.json").read_text())["outcome"] == "aborted"
 
 

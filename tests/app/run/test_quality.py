@@ -7,6 +7,7 @@ import pytest
 
 from ffmap.app.commands import run as run_command
 from ffmap.app.setup.options import RunOptions
+from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.simulator import SimulationSettings, simulate
 
@@ -18,6 +19,7 @@ def metrics(tmp_path_factory: pytest.TempPathFactory) -> Any:
     simulate(bag, SimulationSettings(building="office", seed=1, duration_s=25.0))
     run_command.run(
         BagPath((bag,)),
+        Settings(),
         RunOptions(outputs=("labels", "maps", "geojson"), quiet=True, workers=1),
         out=folder / "run",
     )
