@@ -43,7 +43,7 @@ def rows(document: str, heading: str) -> list[list[str]]:
 
 
 def test_each_part_of_the_paper_has_its_file() -> None:
-    table = rows("method.md", "Where each part of the paper is")
+    table = rows("method.md", "Sections of the paper")
     told = " ".join(paper for paper, _, _ in table)
     for part in ("eq. 1", "eq. 2", "eq. 3", "Algorithm 1", "Table I", "Table II", *(f"Fig. {n}" for n in range(1, 11))):
         assert re.search(rf"{re.escape(part)}(?![0-9I])", told), part
@@ -56,7 +56,7 @@ def test_each_part_of_the_paper_has_its_file() -> None:
 
 
 def test_each_folder_is_told() -> None:
-    told = {folder.strip("`") for folder, _ in rows("method.md", "Where the code lies")}
+    told = {folder.strip("`") for folder, _ in rows("method.md", "Folders")}
     for folder in told:
         assert (ROOT / folder).is_dir(), folder
     rooms = {
