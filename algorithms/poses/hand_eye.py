@@ -32,7 +32,7 @@ _OTHER_DEG = 20.0
 
 
 @dataclass(frozen=True)
-class FoundMount:
+class HandEyeExtrinsics:
     """Where a lidar sits, to some degrees and centimetres.
 
     T_base_sensor: (4, 4). hits: share of its returns that lie where the other lidar's do. rival_hits: the same of the best mount
@@ -45,7 +45,7 @@ class FoundMount:
     rival_deg: float
 
 
-def turns_aligned(base: Trajectory, sensor: Trajectory) -> tuple[FloatArray, FloatArray] | None:
+def align_rotations(base: Trajectory, sensor: Trajectory) -> tuple[FloatArray, FloatArray] | None:
     """A rotation (3, 3) that carries the sensor's turns into the base's, and the axis (3,) in the base about which most are.
 
     About that axis the rotation may be any. None where the robot turned by less than 30 degrees.
@@ -67,13 +67,13 @@ def turns_aligned(base: Trajectory, sensor: Trajectory) -> tuple[FloatArray, Flo
     return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, U[:, 0]
 
 
-def find_mount(
+def find_extrinsics(
     seen: FloatArray, base: Trajectory, scans: Sequence[Scan], rotation: FloatArray, axis: FloatArray
-) -> FoundMount | None:
+) -> HandEyeExtrinsics | None:
     """The heading about an axis and the place at which most returns of the scans lie where the other lidar's do.
 
     seen: (n, 3) the other lidar's returns, in the frame of the base's poses. scans: of the lidar that is looked for, spread over
-    the drive. rotation (3, 3), axis (3,): as of `turns_aligned`. None where either lidar saw nothing.
+    the drive. rotation (3, 3), axis (3,): as of `align_rotations`. None where either lidar saw nothing.
     """
     points, scan = _thinned(scans)
     if len(points) == 0 or len(seen) == 0:
@@ -100,7 +100,7 @@ def find_mount(
     R = Rotation.from_rotvec(np.radians(near[i]) * axis).as_matrix() @ rotation
     rival = int(others.argmax())
     shares = hits[h, s] / len(points), others[rival] / len(points)
-    return FoundMount(transforms.make_transform(Rotation.from_matrix(R), close[j]), *shares, float(away_deg[rival]))
+    return HandEyeExtrinsics(transforms.make_transform(Rotation.from_matrix(R), close[j]), *shares, float(away_deg[rival]))
 
 
 def _thinned(scans: Sequence[Scan]) -> tuple[FloatArray, IntArray]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
-from ffmap.algorithms.poses.mount import Mount, refine_mount, surfaces_agreement
+from ffmap.algorithms.poses.extrinsics import RefinedExtrinsics, refine_extrinsics, surfaces_agreement
 from ffmap.algorithms.poses.patches import Patches
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.settings import Settings
@@ -39,13 +39,13 @@ class CheckedMount:
     """What a drive shows of a vertical lidar's mount, and what it is off by where that is certain.
 
     topic: the lidar's. alone: whether it is the only one whose mount matters. change: (7,) what was found less what was given, as
-    of `Mount.change`. clock_given_ns: what was added to its times already. own_rms_m: RMS distance (m) of
+    of `RefinedExtrinsics.change`. clock_given_ns: what was added to its times already. own_rms_m: RMS distance (m) of
     the horizontal lidar's returns from the surfaces of its other scans.
     """
 
     topic: str
     alone: bool
-    found: Mount
+    found: RefinedExtrinsics
     change: FloatArray
     clock_given_ns: int
     is_off: bool
@@ -145,7 +145,7 @@ def check_mounts(
         scans = scans_of(inputs, sensor, odometry, settings, laid)
         topic, T_given = sensor.lidar.topic, sensor.lidar.T_base_sensor
         agree_m = _BETTER * own_rms_m if keep_agreeing else 0.0
-        if found := refine_mount(patches, odometry, scans, T_given, returns, agree_m):
+        if found := refine_extrinsics(patches, odometry, scans, T_given, returns, agree_m):
             alone, clock_ns = len(inputs.others) == 1, sensor.lidar.decoding.clock_ns
             change = found.change(T_given)
             off = _is_off(found, change)
@@ -153,7 +153,7 @@ def check_mounts(
     return checked
 
 
-def _is_off(found: Mount, change: FloatArray) -> bool:
+def _is_off(found: RefinedExtrinsics, change: FloatArray) -> bool:
     least = np.array([np.radians(_OFF_DEG)] * 3 + [_OFF_M] * 3 + [_OFF_S])
     off = np.abs(change) > np.maximum(least, _SIGMAS * found.sigma)
     return bool(off.any()) and found.rms_before_m > _BETTER * found.rms_after_m

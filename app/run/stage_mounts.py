@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.poses.hand_eye import find_mount, turns_aligned
+from ffmap.algorithms.poses.hand_eye import align_rotations, find_extrinsics
 from ffmap.app.progress import Progress
 from ffmap.app.run.context import Run
 from ffmap.app.run.mount_check import CheckedMount, check_mounts, map_of, scans_of
@@ -127,14 +127,14 @@ def mount_by_motion(
     """
     topic = sensor.lidar.topic
     alone = replace(sensor, lidar=replace(sensor.lidar, T_base_sensor=np.eye(4)))
-    aligned = turns_aligned(odometry, drive_alone(inputs, alone, settings, seconds, progress))
+    aligned = align_rotations(odometry, drive_alone(inputs, alone, settings, seconds, progress))
     if aligned is None:
         return (
             f"the robot turns too little to tell where {topic} sits; drive a bend or turn on the "
             "spot, or say about where it sits in --rig FILE"
         )
     progress.stage(f"mount of {topic}", None)
-    found = find_mount(
+    found = find_extrinsics(
         seen, odometry, scans_of(inputs, alone, odometry, settings, _SCANS), *aligned
     )
     if found is None:

@@ -8,7 +8,7 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.poses.mount import REACH_M, surfaces_agreement
+from ffmap.algorithms.poses.extrinsics import REACH_M, surfaces_agreement
 from ffmap.algorithms.poses.patches import Patches
 from ffmap.app.run.mount_check import laid_out, scans_of
 from ffmap.app.setup.inputs import Inputs, Sensor

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.poses.hand_eye import find_mount, turns_aligned
+from ffmap.algorithms.poses.hand_eye import align_rotations, find_extrinsics
 
 UP = np.array([0.0, 0.0, 1.0])
 MOUNTS = [
@@ -63,7 +63,7 @@ def scans_along(base: Trajectory, T_base_sensor: FloatArray, room: FloatArray) -
 @pytest.mark.parametrize("T_base_sensor", MOUNTS)
 def test_turns_tell_which_way_a_lidar_is_up(T_base_sensor: FloatArray) -> None:
     base = turning(1.0)
-    aligned = turns_aligned(base, moved_along(base, T_base_sensor, 0.1))
+    aligned = align_rotations(base, moved_along(base, T_base_sensor, 0.1))
     assert aligned is not None
     rotation, axis = aligned
     np.testing.assert_allclose(np.abs(axis @ UP), 1.0, atol=1e-3)
@@ -72,17 +72,17 @@ def test_turns_tell_which_way_a_lidar_is_up(T_base_sensor: FloatArray) -> None:
 
 def test_a_straight_drive_tells_nothing() -> None:
     base = turning(0.02)
-    assert turns_aligned(base, moved_along(base, MOUNTS[0], 0.0)) is None
+    assert align_rotations(base, moved_along(base, MOUNTS[0], 0.0)) is None
     still = Trajectory(base.stamp_ns[:2], base.T_map_base[:2])
-    assert turns_aligned(still, still) is None
+    assert align_rotations(still, still) is None
 
 
 @pytest.mark.parametrize("T_base_sensor", MOUNTS)
 def test_a_mount_is_found_from_nothing(T_base_sensor: FloatArray) -> None:
     base = turning(1.0)
-    aligned = turns_aligned(base, moved_along(base, T_base_sensor, 0.1))
+    aligned = align_rotations(base, moved_along(base, T_base_sensor, 0.1))
     assert aligned is not None
-    found = find_mount(walls(ROOM, 30_000, 99), base, scans_along(base, T_base_sensor, ROOM), *aligned)
+    found = find_extrinsics(walls(ROOM, 30_000, 99), base, scans_along(base, T_base_sensor, ROOM), *aligned)
     assert found is not None
     off = transforms.to_twist(transforms.invert(T_base_sensor) @ found.T_base_sensor)
     assert np.degrees(np.linalg.norm(off[:3])) < 5.0
@@ -106,9 +106,9 @@ def test_what_a_square_hall_does_not_tell_is_told() -> None:
         scan_of(sides[rng.integers(0, len(sides), 1500)], base.T_map_base[k] @ T_base_sensor, int(base.stamp_ns[k]))
         for k in range(0, 41, 2)
     ]
-    aligned = turns_aligned(base, moved_along(base, T_base_sensor, 0.0))
+    aligned = align_rotations(base, moved_along(base, T_base_sensor, 0.0))
     assert aligned is not None
-    found = find_mount(sides, base, scans, *aligned)
+    found = find_extrinsics(sides, base, scans, *aligned)
     assert found is not None
     assert found.rival_hits > 0.95 * found.hits
     assert found.rival_deg % 90 == pytest.approx(0, abs=4.0) or found.rival_deg % 90 == pytest.approx(90, abs=4.0)
@@ -116,5 +116,5 @@ def test_what_a_square_hall_does_not_tell_is_told() -> None:
 
 def test_without_returns_there_is_none() -> None:
     base = turning(1.0)
-    assert find_mount(np.zeros((0, 3)), base, scans_along(base, MOUNTS[0], ROOM), np.eye(3), UP) is None
-    assert find_mount(walls(ROOM, 100, 0), base, [], np.eye(3), UP) is None
+    assert find_extrinsics(np.zeros((0, 3)), base, scans_along(base, MOUNTS[0], ROOM), np.eye(3), UP) is None
+    assert find_extrinsics(walls(ROOM, 100, 0), base, [], np.eye(3), UP) is None

@@ -31,7 +31,7 @@ _CLUSTER = 12.0
 
 
 @dataclass(frozen=True)
-class Mount:
+class RefinedExtrinsics:
     """The vertical lidar's place in the base and its clock, refined.
 
     T_base_sensor: (4, 4). clock_s: what is to be added to its stamps.
@@ -53,14 +53,14 @@ class Mount:
         return np.array([*turn, *(self.T_base_sensor - T_given)[:3, 3], self.clock_s])
 
 
-def refine_mount(
+def refine_extrinsics(
     patches: Patches,
     trajectory: Trajectory,
     scans: Sequence[Scan],
     T_base_sensor: FloatArray,
     returns_max: int = 20_000,
     agree_m: float = 0.0,
-) -> Mount | None:
+) -> RefinedExtrinsics | None:
     """The mount near the given one (4, 4) at which the scans lie best on the patches; None where too little of them does.
 
     patches: what the horizontal lidar saw, in the trajectory's frame. trajectory: of the base; an error of its poses moves what
@@ -77,7 +77,7 @@ def refine_mount(
     rms_before_m = _rms(moving.distances(x, *matched))
     if rms_before_m <= agree_m and np.count_nonzero(matched[0]) >= _RETURNS_MIN:
         kept = (T_base_sensor, 0.0, np.full(7, np.nan), rms_before_m, rms_before_m)
-        return Mount(*kept, int(np.count_nonzero(matched[0])))
+        return RefinedExtrinsics(*kept, int(np.count_nonzero(matched[0])))
     for reach_m in _REACHES_M:
         moving = _Moving.of(transforms.apply(T_correction, points_base), stamp_ns + round(1e9 * clock_s), trajectory)
         matched = _match(moving, patches, tree, reach_m)
@@ -100,7 +100,7 @@ def refine_mount(
     variance = _CLUSTER * scatter_m**2
     # Of each of the seven next to nothing is known beforehand: what no return tells stays unknown.
     sigma = np.sqrt(variance * np.diag(np.linalg.inv(J.T @ J + variance * np.eye(7))))
-    return Mount(
+    return RefinedExtrinsics(
         transforms.orthonormal(T_correction @ T_base_sensor),
         clock_s,
         sigma,

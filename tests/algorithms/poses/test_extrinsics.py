@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
-from ffmap.algorithms.poses.mount import refine_mount
+from ffmap.algorithms.poses.extrinsics import refine_extrinsics
 from ffmap.algorithms.poses.patches import Patches
 from tests.corridor import T_BASE_SENSOR, cast
 
@@ -57,7 +57,7 @@ def test_a_mount_and_a_clock_that_are_off_are_found(room: tuple[Trajectory, Patc
     T_given = transforms.make_transform(Rotation.from_rotvec(np.radians(5) * axis), 0.1 * way) @ T_BASE_SENSOR
     late_ns = 50_000_000 * (-1) ** seed
     late = [replace(scan, start_ns=scan.start_ns + late_ns) for scan in scans]
-    found = refine_mount(patches, trajectory, late, T_given, 20_000)
+    found = refine_extrinsics(patches, trajectory, late, T_given, 20_000)
     assert found is not None
     off = transforms.to_twist(transforms.invert(T_BASE_SENSOR) @ found.T_base_sensor)
     assert np.degrees(np.linalg.norm(off[:3])) < 0.1
@@ -78,8 +78,8 @@ def test_on_a_straight_way_a_clock_is_not_known(room: tuple[Trajectory, Patches,
     T = np.tile(np.eye(4), (26, 1, 1))
     T[:, 0, 3] = 0.06 * np.arange(26)
     straight = Trajectory(PERIOD_NS * (1 + np.arange(26)), T)
-    found = refine_mount(*(lambda p, s: (p, straight, s))(*seen(straight, 24)), T_BASE_SENSOR, 20_000)
-    turned = refine_mount(room[1], room[0], room[2], T_BASE_SENSOR, 20_000)
+    found = refine_extrinsics(*(lambda p, s: (p, straight, s))(*seen(straight, 24)), T_BASE_SENSOR, 20_000)
+    turned = refine_extrinsics(room[1], room[0], room[2], T_BASE_SENSOR, 20_000)
     assert found is not None
     assert turned is not None
     assert found.sigma[6] > 3 * turned.sigma[6]
@@ -89,7 +89,7 @@ def test_at_rest_a_clock_is_unknown(room: tuple[Trajectory, Patches, list[Scan]]
     """Nothing that a robot at rest sees depends on it: it keeps next to all of the second that it was unknown by."""
     rest = Trajectory(PERIOD_NS * (1 + np.arange(26)), np.tile(np.eye(4), (26, 1, 1)))
     patches, scans = seen(rest, 24)
-    found = refine_mount(patches, rest, scans, T_BASE_SENSOR, 20_000)
+    found = refine_extrinsics(patches, rest, scans, T_BASE_SENSOR, 20_000)
     assert found is not None
     assert found.sigma[6] == pytest.approx(1.0, abs=0.05)
     assert np.all(found.sigma[:6] < 0.05)
@@ -97,8 +97,8 @@ def test_at_rest_a_clock_is_unknown(room: tuple[Trajectory, Patches, list[Scan]]
 
 def test_too_little_tells_nothing(room: tuple[Trajectory, Patches, list[Scan]]) -> None:
     trajectory, patches, scans = room
-    assert refine_mount(patches, trajectory, [], T_BASE_SENSOR, 20_000) is None
-    assert refine_mount(patches_of(np.zeros((0, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
-    assert refine_mount(patches_of(np.zeros((5, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
+    assert refine_extrinsics(patches, trajectory, [], T_BASE_SENSOR, 20_000) is None
+    assert refine_extrinsics(patches_of(np.zeros((0, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
+    assert refine_extrinsics(patches_of(np.zeros((5, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
     far = transforms.make_transform(translation=[300.0, 0.0, 0.0])
-    assert refine_mount(patches, trajectory, scans, far @ T_BASE_SENSOR, 20_000) is None
+    assert refine_extrinsics(patches, trajectory, scans, far @ T_BASE_SENSOR, 20_000) is None
