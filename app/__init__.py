@@ -1,5 +1,6 @@
-"""The program: `cli` parses, `commands` holds one file for each command.
+"""The program: `cli` parses, `commands` holds one file per command.
 
-Rooms, each of which uses only those before it: `setup` (settings and inputs), `folder` (the files of a run), `record` (the
-Rerun recording), `run` (the stages of a run), `analysis` (finished runs), `sweeps`, `commands`.
+Each folder uses only those before it: `setup` (settings and inputs), `folder` (files of a run),
+`record` (the Rerun recording), `run` (stages of a run), `analysis` (finished runs), `sweeps`,
+`commands`.
 """

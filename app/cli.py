@@ -1,14 +1,11 @@
 """The command line: ffmap run, inspect, compare, sweep, runs, view, rooms, info and more.
 
-Each command imports what it needs when it is called: 'ffmap --help' answers at once.
+Each command imports its modules when it is called, so that 'ffmap --help' starts at once.
 """
 
 import errno
-import io
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -27,8 +24,8 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Maps of the immobile building from a robot's two 3-D lidars, every intermediate in a "
-    "Rerun recording.",
+    help="Build a furniture-free map of a building from a ROS bag of 3-D lidar data, and log every "
+    "intermediate to a Rerun recording.",
 )
 
 
@@ -48,7 +45,7 @@ def _options(
     version: Annotated[
         bool,
         Option(
-            "--version", help="Print the version and end.", callback=_print_version, is_eager=True
+            "--version", help="Print the version and exit.", callback=_print_version, is_eager=True
         ),
     ] = False,
 ) -> None:
@@ -85,19 +82,19 @@ def run(
     doors: Annotated[
         Literal["open", "as-seen", "closed"] | None,
         Option(
-            help="Doorways in map.yaml: all open, as they were seen, or closed; "
-            "--set grid_map.doors.  [default: open]"
+            help="Doorways in map.yaml: all open, as seen, or closed; as --set grid_map.doors.  "
+            "[default: open]"
         ),
     ] = None,
     detail: Annotated[
         Detail,
-        Option(help="What the recording holds of each scan: everything, labels, or the map alone."),
+        Option(help="Detail of the recording: all intermediates, labels of scans, or the map."),
     ] = Detail.LINES,
     spawn: Annotated[
-        bool, Option("--spawn", help="Open the Rerun viewer and follow the run live.")
+        bool, Option("--spawn", help="Open the Rerun viewer and show the run live.")
     ] = False,
     connect: Annotated[
-        str | None, Option(help="Send to a viewer that runs, as rerun+http://127.0.0.1:9876/proxy.")
+        str | None, Option(help="Send to a running viewer, e.g. rerun+http://127.0.0.1:9876/proxy.")
     ] = None,
     save: Annotated[bool, Option(help="Write recording.rrd.")] = True,
     outputs: Annotated[
@@ -105,26 +102,25 @@ def run(
         Option(metavar="LIST", help=f"{shared.OUTPUTS_HELP}  [default: {','.join(RUN_OUTPUTS)}]"),
     ] = None,
     workers: Annotated[
-        int | None, Option(min=1, help="Labelling processes.  [default: one for each core]")
+        int | None, Option(min=1, help="Labelling processes.  [default: one per core]")
     ] = None,
     scheduler: Annotated[
         str | None,
         Option(
             metavar="tcp://HOST:PORT",
-            help="Label on the Dask cluster of this scheduler, by blocks of time; needs the "
-            "extra 'cluster'.",
+            help="Label on the Dask cluster of this scheduler. Requires the extra 'cluster'.",
         ),
     ] = None,
     resume: Annotated[
         Path | None,
-        Option(help="Go on with a run folder that was killed; no other argument is needed."),
+        Option(help="Folder of a killed run to continue. Requires no other argument."),
     ] = None,
     verbose: Annotated[
         bool,
-        Option("--verbose", "-v", help="Where the truth is known, print all figures as tables."),
+        Option("--verbose", "-v", help="Print all figures if the bag holds ground truth."),
     ] = False,
 ) -> None:
-    """Label every scan of a bag, map the building, record every intermediate.
+    """Label every scan of a bag, map the building, log every intermediate.
 
     Examples:
 
@@ -175,8 +171,8 @@ def run(
     if resume is not None:
         if bag or out or config or overrides or overwrite:
             raise InputError(
-                "--resume goes on as the run was started: give no bag, --out, --config, --set "
-                "or --overwrite with it"
+                "--resume takes bag and settings from the run: give no bag, --out, --config, --set "
+                "or --overwrite"
             )
         command.resume(resume, options)
     elif bag:
@@ -196,8 +192,7 @@ def info(
     vertical: shared.Vertical = None,
     time_from: shared.TimeFrom = "auto",
 ) -> None:
-    """What a bag holds: topics, rates, layouts, times, frames, the lidars' roles and why, gaps,
-    what is missing.
+    """Print topics, rates, layouts, time stamps, frames, roles of lidars, gaps, missing data.
 
     Example:
 
@@ -215,13 +210,12 @@ def info(
 def rigs(
     name: Annotated[
         str | None,
-        Argument(metavar="[NAME]", show_default=False, help="Print the file of this one."),
+        Argument(metavar="[NAME]", show_default=False, help="Print the file of this rig."),
     ] = None,
 ) -> None:
-    """The rigs of public data sets that are built in, or the file of one, as a start for your own.
+    """List the built-in rigs of public data sets, or print the file of a rig.
 
-    A bag whose topics and frames are those of one, and whose own transforms do not place its
-    lidars, is taken to be of it.
+    A rig is used automatically if a bag has its topics and frames but no extrinsics.
 
     Examples:
 
@@ -261,24 +255,22 @@ def calibrate(
         bool,
         Option(
             "--from-motion",
-            help="Start from no mount at all, but from how the lidars move and what both see. "
-            "Where the bag tells of no mount, --horizontal and --vertical name the lidars.",
+            help="Estimate the extrinsics without a first guess, from the motion of the lidars. "
+            "If the bag has no transforms, name the lidars by --horizontal and --vertical.",
         ),
     ] = False,
     recording: Annotated[
         Path | None,
-        Option(help="Draw what both lidars see, before and after, into this recording."),
+        Option(help="Rerun recording of the surfaces that both lidars see, before and after."),
     ] = None,
-    seconds: Annotated[float, Option(min=2.0, help="Seconds of the drive that are used.")] = 60.0,
+    seconds: Annotated[float, Option(min=2.0, help="Seconds of the drive to use.")] = 60.0,
     quiet: Annotated[bool, Option("--quiet", "-q", help="Show no progress.")] = False,
 ) -> None:
-    """Refine where each vertical lidar sits and by which clock it runs, from a drive with two
-    lidars or more.
+    """Estimate extrinsics and clock offset of each vertical lidar from a drive.
 
-    Starts from the mount that the bag or --rig says, off by up to some 5 deg, 10 cm and 50 ms, or
-    with --from-motion from how the lidars move and what both see; says how certain each of the
-    seven is. Best is a drive between walls in which the robot turns once on the spot, left and
-    right.
+    Refines the extrinsics of the bag or of --rig if these are within 5 deg, 10 cm and 50 ms;
+    --from-motion requires no first guess. Prints the standard deviation of each value. Best is a
+    drive between walls in which the robot turns once on the spot, left and right.
 
     Examples:
 
@@ -313,7 +305,7 @@ def calibrate(
 def simulate(
     out: Annotated[
         Path,
-        Argument(show_default=False, help="Bag to write: a file (bag), or a folder (mcap, db3)."),
+        Argument(show_default=False, help="Bag to write: a file (bag) or a folder (mcap, db3)."),
     ],
     building: Annotated[
         str,
@@ -323,7 +315,7 @@ def simulate(
         ),
     ] = "office",
     seed: Annotated[
-        int, Option(min=0, help="Another building, other furniture, another drive.")
+        int, Option(min=0, help="Seed of building, furniture and drive.")
     ] = 0,
     sensor: Annotated[
         str | None, Option(help="hdl32e, vlp16, os1-16, os0-128, qt64 or xt32.  [default: hdl32e]")
@@ -331,16 +323,14 @@ def simulate(
     lidars: Annotated[
         str | None,
         Option(
-            help="two: one upright and one on its side; one: an upright one alone; three: one "
-            "upright and two on their sides, left and right; upright: two upright ones, front and "
-            "rear.  [default: two]"
+            help="two: one upright, one on its side; one: one upright; three: one upright, two on "
+            "their sides; upright: two upright, front and rear.  [default: two]"
         ),
     ] = None,
     layout: Annotated[
         str,
         Option(
-            help="plain, or as the bags of a public data set, with its sensors: a name that "
-            "'ffmap rigs' lists."
+            help="plain, or the layout of a public data set that 'ffmap rigs' lists."
         ),
     ] = "plain",
     format_: Annotated[str, Option("--format", help="bag (ROS 1), mcap or db3 (ROS 2).")] = "bag",
@@ -349,14 +339,12 @@ def simulate(
         list[str] | None,
         Option(
             "--set",
-            help="Any other property of the simulation, as in clutter=0.5; an unknown one lists "
-            "them all.",
+            help="Any other property, as in clutter=0.5. An unknown name lists all.",
         ),
     ] = None,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Make a real bag of a robot with one lidar or several in a generated, furnished building,
-    with its truth.
+    """Simulate a drive through a furnished building and write its bag, with ground truth.
 
     Examples:
 
@@ -391,16 +379,17 @@ def evaluate(
     truth: Annotated[
         list[Path] | None,
         Option(
-            help="Bag with the ground truth, once for each of its files, or a TUM file of the "
-            "true poses alone.  [default: the run's own bag]"
+            help="Bag with the ground truth (repeatable for its files), or a TUM file of the true "
+            "poses.  [default: the bag of the run]"
         ),
     ] = None,
     workers: Annotated[
-        int | None, Option(min=1, help="Processes.  [default: one for each core]")
+        int | None, Option(min=1, help="Processes.  [default: one per core]")
     ] = None,
 ) -> None:
-    """Compare a run with the ground truth: labels by area, doors, map, trajectory; writes
-    metrics.json.
+    """Compare a run with the ground truth and write metrics.json.
+
+    Figures: labels by area, doors, map, rooms, trajectory.
 
     Examples:
 
@@ -428,30 +417,28 @@ def inspect(
     scan: Annotated[
         str,
         Option(
-            help="The scan's number, or 'worst': with most wrong final labels, or most changed "
-            "ones."
+            help="Number of the scan, or 'worst': the scan with most wrong or changed labels."
         ),
     ],
     line: Annotated[
         int | None,
         Option(
-            help="A point line, 2 × pair + side: open there, and print its reasons.  "
-            "[default: that with most wrong labels]"
+            help="Point line to open and to print, 2 × pair + side.  "
+            "[default: the line with most wrong labels]"
         ),
     ] = None,
     bag: Annotated[
         list[Path] | None,
-        Option(help="Where the run's bag lies now, if it was moved; once for each of its files."),
+        Option(help="New path of the bag if it was moved; repeatable for its files."),
     ] = None,
     out: Annotated[
         Path | None, Option("--out", "-o", help="Recording.  [default: RUN/inspect-SCAN.rrd]")
     ] = None,
     spawn: shared.Spawn = False,
 ) -> None:
-    """One scan, line by line: what was measured, what each line became, and in words why.
+    """Show one scan, line by line: measurements, labels, and the reason of each label.
 
-    The scan is labelled again from its bag exactly as the run did, and checked against the run's
-    own labels.
+    Labels the scan again from the bag and checks the result against the labels of the run.
 
     Examples:
 
@@ -475,21 +462,19 @@ def compare(
         Option(
             "--out",
             "-o",
-            help="Folder for comparison.rrd and comparison.json, or the recording's name (.rrd).  "
+            help="Folder for comparison.rrd and comparison.json, or the recording's path (.rrd).  "
             "[default: comparison-RUN-RUN]",
         ),
     ] = None,
     scans: Annotated[
-        bool, Option(help="With single scans side by side; without, the file is small.")
+        bool, Option(help="Record single scans side by side. Without them the file is small.")
     ] = True,
     spawn: shared.Spawn = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """What differs between runs, and where: labels point by point, poses, walls, doors, map,
-    settings, figures.
+    """Compare runs with the first one: labels, poses, walls, doors, map, settings, figures.
 
-    The first run is the one that the others are compared with. Whatever the runs have is
-    compared; what cannot be is said, as for runs of different bags, or runs that were aborted.
+    Compares all outputs that both runs have, and lists those that cannot be compared.
 
     Examples:
 
@@ -509,7 +494,7 @@ def sweep(
         Argument(
             metavar="BAG",
             show_default=False,
-            help="ROS bags, each a drive; of one in several files, the folder that holds them.",
+            help="ROS bags, one per drive; for a drive in several files, its folder.",
         ),
     ],
     rig: shared.Rig = None,
@@ -527,38 +512,37 @@ def sweep(
         list[str] | None,
         Option(
             metavar="NAME=V,V",
-            help="A setting and its values, as in doors.lines_min=2,3; with --random and --optuna "
+            help="Setting and its values, as in doors.lines_min=2,3; with --random and --optuna "
             "also a range, as in wall_planes.similarity_m=0.02..0.08; repeatable.",
         ),
     ] = None,
     random: Annotated[
         int | None,
-        Option(min=1, metavar="N", help="Try N combinations drawn at random, not all of them."),
+        Option(min=1, metavar="N", help="Run N random combinations instead of all."),
     ] = None,
     optuna: Annotated[
         int | None,
         Option(
             min=1,
             metavar="N",
-            help="Try N combinations, each proposed by Optuna after those before.",
+            help="Run N combinations that Optuna proposes.",
         ),
     ] = None,
     objective: Annotated[
         str,
         Option(
-            help="Figure to rank runs by, and for --optuna to optimise; of errors and times the "
-            "lowest."
+            help="Figure by which runs are ranked, and which --optuna optimizes."
         ),
     ] = "wall_f1",
     seed: Annotated[
-        int, Option(min=0, help="Of --random and --optuna: the same seed, the same combinations.")
+        int, Option(min=0, help="Seed of --random and --optuna.")
     ] = 0,
     out: Annotated[
         Path | None,
-        Option(help="Folder of the sweep's runs and its table.  [default: runs/sweep-BAG]"),
+        Option(help="Folder of the runs and of sweep.csv.  [default: runs/sweep-BAG]"),
     ] = None,
     detail: Annotated[
-        Detail, Option(help="What each recording holds; see 'ffmap run'.")
+        Detail, Option(help="Detail of each recording; see 'ffmap run'.")
     ] = Detail.MAP,
     outputs: Annotated[
         str | None,
@@ -566,26 +550,25 @@ def sweep(
     ] = None,
     workers: Annotated[
         int | None,
-        Option(min=1, help="Runs at once, one thread each.  [default: one for each core]"),
+        Option(min=1, help="Runs at once, one thread each.  [default: one per core]"),
     ] = None,
     scheduler: Annotated[
         str | None,
         Option(
             metavar="tcp://HOST:PORT",
-            help="Run on the Dask cluster of this scheduler; needs the extra 'cluster'.",
+            help="Run on the Dask cluster of this scheduler. Requires the extra 'cluster'.",
         ),
     ] = None,
 ) -> None:
-    """Run with many settings: a run folder for each combination, one odometry for all; prints and
-    writes a table.
+    """Run with many combinations of settings and rank them in sweep.csv.
 
-    The same command continues a sweep that was stopped; finished runs are not repeated.
+    All runs share one odometry. The same command continues a sweep that was stopped.
 
     Examples:
 
-        ffmap sweep drive.bag --grid wall_planes.similarity_m=0.03,0.05,0.08 --grid doors.lines_min=2,3
+        ffmap sweep drive.bag --grid wall_planes.similarity_m=0.03,0.05 --grid doors.lines_min=2,3
 
-        ffmap sweep a.bag b.bag --grid wall_planes.similarity_m=0.02..0.1 --optuna 30 --objective wall_f1
+        ffmap sweep a.bag b.bag --grid wall_planes.similarity_m=0.02..0.1 --optuna 30
 
         ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
     """
@@ -620,26 +603,26 @@ def runs(
         list[str] | None,
         Option(
             metavar="CONDITION",
-            help='List only runs that meet it, as in "wall_f1>0.98"; may be repeated.',
+            help='Show only runs that meet it, as in "wall_f1>0.98"; repeatable.',
         ),
     ] = None,
     sort: Annotated[
         str | None,
-        Option(metavar="COLUMN", help="Best first for a metric, least first for anything else."),
+        Option(metavar="COLUMN", help="Best first for figures, lowest first otherwise."),
     ] = None,
-    reverse: Annotated[bool, Option("--reverse", help="With --sort: the other way round.")] = False,
+    reverse: Annotated[bool, Option("--reverse", help="With --sort: reverse the order.")] = False,
     columns: Annotated[
         str | None,
         Option(
             metavar="LIST",
-            help="Columns to show, as in wall_f1,doors_found; 'all' lists their names.",
+            help="Columns to show, as in wall_f1,doors_found; 'all' lists the names.",
         ),
     ] = None,
 ) -> None:
-    """List all runs with the settings in which they differ and their figures.
+    """List runs with their figures and the settings in which they differ.
 
-    Columns are settings by their names (wall_planes.similarity_m), metrics (wall_f1, doors_found,
-    trajectory_ate_rmse_m), counts (walls, doors) and seconds, the time that a run took.
+    Columns: settings (wall_planes.similarity_m), figures (wall_f1, doors_found), counts (walls,
+    doors), seconds of run time.
 
     Examples:
 
@@ -662,15 +645,13 @@ def view(
         bool,
         Option(
             "--web",
-            help="Serve them to a browser on this machine instead, as where there is no display.",
+            help="Serve the runs to a browser on this machine, for machines without a display.",
         ),
     ] = False,
 ) -> None:
-    """Open runs in the Rerun viewer with the layout that fits them: errors first, where the truth
-    is known.
+    """Open runs in the Rerun viewer.
 
-    Several runs have one layout and a list to choose from; side by side they are in what
-    'ffmap compare' writes.
+    The viewer lists several runs; 'ffmap compare' shows them side by side.
 
     Examples:
 
@@ -692,23 +673,23 @@ def rooms(
         Argument(
             metavar="MAP",
             show_default=False,
-            help="map_server's .yaml, or an image: .png or .pgm; or a folder of them.",
+            help="Map: .yaml of map_server, .png or .pgm image, or a folder of maps.",
         ),
     ],
     resolution: Annotated[
-        float | None, Option(help="Edge of a pixel in metres; needed for an image without YAML.")
+        float | None, Option(help="Size of a pixel in metres; required for an image without YAML.")
     ] = None,
     out: Annotated[
-        Path | None, Option(help="Folder for what is written.  [default: rooms/<map>]")
+        Path | None, Option(help="Output folder.  [default: rooms/<map>]")
     ] = None,
     truth: Annotated[
         Path | None,
         Option(
-            help="Image of the true rooms, white and parted by lines: prints recall and precision."
+            help="Image of the true rooms, white and separated by lines; prints recall, precision."
         ),
     ] = None,
     doors: Annotated[
-        Path | None, Option(help="Doors that are known, as a run's doors.geojson.")
+        Path | None, Option(help="Known doors, e.g. doors.geojson of a run.")
     ] = None,
     config: shared.Config = None,
     set_: Annotated[
@@ -716,13 +697,11 @@ def rooms(
         Option("--set", help="One setting, as in area_graph.opening_ratio=0.4; repeatable."),
     ] = None,
 ) -> None:
-    """Rooms of any system's grid map, furniture and all: outlines, areas, and which room leads to
-    which.
+    """Segment any grid map into rooms: outlines, areas and passages.
 
-    Writes rooms.geojson, topology.json, rooms.png and rooms.rrd. Free is white (over 250) in an
-    image; a YAML file has its own thresholds. In a folder, every X.png that has its
-    Y_gt_segmentation.png beside it is compared with that. If some maps of a folder fail, the
-    others are compared, each failure is one line, and the exit code is 2.
+    Writes rooms.geojson, topology.json, rooms.png and rooms.rrd. Pixels above 250 are free; a YAML
+    file has its own thresholds. In a folder, each X.png is compared with its
+    X_gt_segmentation.png. If some maps of a folder fail, the exit code is 2.
 
     Examples:
 
@@ -742,14 +721,13 @@ def rooms(
 @app.command()
 def settings(
     config: Annotated[
-        Path | None, Option(help="Settings to show in place of the defaults.")
+        Path | None, Option(help="Settings to print instead of the defaults.")
     ] = None,
     set_: Annotated[
         list[str] | None, Option("--set", help="One setting, as in doors.recess_min_m=0.03.")
     ] = None,
 ) -> None:
-    """Every setting with its value, unit, meaning and place in the paper, as a TOML file for
-    --config.
+    """Print every setting with its value, unit, meaning and paper section, as TOML for --config.
 
     Example:
 
@@ -762,37 +740,37 @@ def settings(
 
 @app.command()
 def demo(
-    out: Annotated[Path, Option(help="Folder for the demonstration's bag and run.")] = Path("demo"),
+    out: Annotated[Path, Option(help="Folder of the bag and of the run.")] = Path("demo"),
 ) -> None:
-    """Simulate a small furnished building, run the program on it, and say how to look at the
-    result."""
+    """Simulate a small furnished building and map it."""
     from ffmap.app.commands import demo as command
 
     command.demo(out)
 
 
 def main() -> None:
-    """Entry point: the user's mistakes are one line and exit code 2, ours a traceback."""
+    """Run the command line. User errors are one line and exit code 2; bugs are tracebacks."""
     from ffmap.app.compiled_code import compiled_code
     from ffmap.app.run.workers import ENVIRONMENT
 
     # For numpy and Numba here, and for the worker processes.
     os.environ.update(ENVIRONMENT | os.environ | compiled_code())
     try:
-        # Not standalone: Typer's own way to tell of a mistake takes five lines, and it says nothing of an interruption.
-        with _help_at_once():
-            code = app(standalone_mode=False, prog_name="ffmap")
-    except _OptionError as error:
-        sys.exit(_tell_of_options(error))
-    except BrokenPipeError:
-        # The reader of our output has gone, as with | head.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
-    except (InputError, MemoryError, OSError) as error:
-        said = _in_one_line(error)
-        if said is None:
+        # Not standalone: Typer prints an error in five lines, and nothing for an interruption.
+        code = app(standalone_mode=False, prog_name="ffmap")
+    except _UsageError as error:
+        sys.exit(_print_usage_error(error))
+    except (BrokenPipeError, SystemExit) as end:
+        # Typer exits with 1 on a broken pipe, but "| grep -q" has only read enough.
+        if not any(isinstance(each, BrokenPipeError) for each in (end, end.__context__)):
             raise
-        typer.echo(f"ffmap: {said}", err=True)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    except (InputError, MemoryError, OSError) as error:
+        message = _in_one_line(error)
+        if message is None:
+            raise
+        typer.echo(f"ffmap: {message}", err=True)
         sys.exit(2)
     except KeyboardInterrupt:
         code = _INTERRUPTED
@@ -801,30 +779,14 @@ def main() -> None:
     sys.exit(code or 0)
 
 
-@contextmanager
-def _help_at_once() -> Iterator[None]:
-    """Write a page of help in one go where another program reads it.
-
-    A reader that ends early, as grep -q does, then leaves no broken pipe and no exit code of 1.
-    """
-    out = sys.__stdout__
-    helping = not {"-h", "--help"}.isdisjoint(sys.argv)
-    if not helping or out is None or sys.stdout is not out or out.isatty():
-        yield
-        return
-    with redirect_stdout(io.StringIO()) as page:
-        yield
-    os.write(out.fileno(), page.getvalue().encode())
-
-
 def _in_one_line(error: InputError | MemoryError | OSError) -> str | None:
-    """What the user can do; None where the error is ours."""
+    """Return problem and fix; None for a bug."""
     if isinstance(error, MemoryError):
-        return "memory ran out; free some, or give fewer --workers, and start again"
+        return "out of memory; free some, or use fewer --workers, and start again"
     if not isinstance(error, OSError):
         return str(error)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return "no space is left on the disk; free some, then go on with 'ffmap run --resume DIR', or start again"
+        return "the disk is full; free some space, then continue with 'ffmap run --resume DIR'"
     if (
         error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR)
         and error.filename is not None
@@ -835,21 +797,19 @@ def _in_one_line(error: InputError | MemoryError | OSError) -> str | None:
 
 
 _INTERRUPTED = 130
-_OptionError: type[Exception] = next(
+_UsageError: type[Exception] = next(
     kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "ClickException"
 )
-"""What Typer raises for words that it does not understand. Where it takes this from depends on its version."""
+"""Raised by Typer for invalid arguments. The module that defines it depends on Typer's version."""
 
 
-def _tell_of_options(error: Any) -> int:  # noqa: ANN401 - as above
-    """Say in one line what is wrong with the words of the command line; returns the exit code."""
+def _print_usage_error(error: Any) -> int:  # noqa: ANN401 - see _UsageError
+    """Print one line about invalid arguments; return the exit code."""
     context = getattr(error, "ctx", None)
     if type(error).__name__ == "NoArgsIsHelpError":
         typer.echo(context.get_help() if context else error.format_message())
         return 2
-    said = " ".join(error.format_message().split()).rstrip(".")
+    message = " ".join(error.format_message().split()).rstrip(".")
     command = context.command_path if context else "ffmap"
-    typer.echo(
-        f"ffmap: {said[:1].lower()}{said[1:]}; '{command} --help' lists what it takes", err=True
-    )
+    typer.echo(f"ffmap: {message[:1].lower()}{message[1:]}; see '{command} --help'", err=True)
     return 2

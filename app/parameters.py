@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 from typer import Argument, Option
 
 BAG_HELP = (
-    "ROS 1 .bag, ROS 2 folder, .db3 or .mcap; or all files of one drive, in any order, or the "
-    "folder that holds them."
+    "ROS 1 .bag, ROS 2 folder, .db3 or .mcap; or all files of a drive, in any order, or their "
+    "folder."
 )
 OUTPUTS_HELP = (
-    "What is written, as in recording,maps, or what is written too, as in +labelled-bag: of "
-    "recording, labelled-bag, labels, cloud, maps, plan, geojson."
+    "Files to write, as in recording,maps, or to add, as in +labelled-bag. Names: recording, "
+    "labelled-bag, labels, cloud, maps, plan, geojson."
 )
 
 Bag = Annotated[list[Path], Argument(metavar="BAG", show_default=False, help=BAG_HELP)]
@@ -20,18 +20,18 @@ RunFolder = Annotated[Path, Argument(metavar="RUN", show_default=False, help="Ru
 Rig = Annotated[
     Path | None,
     Option(
-        help="TOML file that says where the lidars sit, or the name of a built-in rig "
-        "('ffmap rigs'); asked before /tf_static."
+        help="TOML file with the extrinsics of the lidars, or the name of a built-in rig "
+        "('ffmap rigs'); takes precedence over /tf_static."
     ),
 ]
-Horizontal = Annotated[str | None, Option(help="Topic of the lidar that gives the poses.")]
+Horizontal = Annotated[str | None, Option(help="Topic of the lidar for localization.")]
 Vertical = Annotated[
     list[str] | None,
-    Option(help="Topic of a lidar that sweeps the walls, whose clouds are labelled; repeatable."),
+    Option(help="Topic of a lidar whose clouds are labelled; repeatable."),
 ]
 TimeFrom = Annotated[
     Literal["auto", "azimuth", "none"],
-    Option(help="Times of the firings: the cloud's own, recovered from the azimuth, or none."),
+    Option(help="Times of the points: from the cloud, from the azimuth, or none."),
 ]
 
 Config = Annotated[Path | None, Option(help="Settings as TOML; see 'ffmap settings'.")]
@@ -41,22 +41,22 @@ Set = Annotated[
 ]
 Trajectory = Annotated[
     str | None,
-    Option(help="Poses T_map_base in place of the odometry: a TUM file, or a topic of the bag."),
+    Option(help="Poses T_map_base instead of the odometry: a TUM file, or a topic of the bag."),
 ]
 TrajectoryFrame = Annotated[
     str | None,
     Option(
         metavar="FRAME",
-        help="The frame that --trajectory holds poses of.  [default: the one that the clouds fit]",
+        help="Frame of the poses of --trajectory.  [default: detected from the clouds]",
     ),
 ]
 Mount = Annotated[
     Literal["refine", "as-given"],
     Option(
-        help="Of two lidars or more: whether a vertical one's place and clock are refined where "
-        "the first seconds show them off."
+        help="Refine extrinsics and clock offset of vertical lidars if the first seconds show "
+        "that they are off, or use them as given."
     ),
 ]
-Evaluate = Annotated[bool, Option(help="Where a bag carries truth, compare with it.")]
+Evaluate = Annotated[bool, Option(help="Evaluate the run if the bag holds ground truth.")]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Print nothing but errors.")]
-Spawn = Annotated[bool, Option("--spawn", help="Open it in the Rerun viewer.")]
+Spawn = Annotated[bool, Option("--spawn", help="Open the result in the Rerun viewer.")]

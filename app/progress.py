@@ -1,4 +1,4 @@
-"""What a person sees while a run goes on: a bar for each stage on a terminal, plain lines elsewhere."""
+"""Progress on standard error: a bar for each stage on a terminal, plain lines elsewhere."""
 
 import sys
 import time
@@ -6,15 +6,22 @@ from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.progress import Progress as Bars
 
 
 class Progress:
-    """Progress on standard error; use as a context manager."""
+    """Bars and messages; a context manager."""
 
     def __init__(self, quiet: bool = False, estimate_s: float = 30.0) -> None:
-        """estimate_s: the time left is estimated from the steps of the last seconds; slow steps need more of them."""
+        """estimate_s: period over which the speed is averaged to estimate the remaining time."""
         self._console = Console(stderr=True, quiet=quiet, highlight=False)
         self._bars = Bars(
             TextColumn("{task.description:<10}"),
@@ -34,23 +41,28 @@ class Progress:
         self._bars.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
         self._end_stage(kind is None)
         self._bars.stop()
 
     def stage(self, name: str, total: int | None) -> None:
-        """Begin a stage. total: number of its steps; None where it is not known."""
+        """Begin a stage. total: number of its steps, None if unknown."""
         self._end_stage(True)
         self._name, self._started = name, time.monotonic()
         self._task = self._bars.add_task(name, total=total)
 
     def advance(self) -> None:
-        """One step of the stage is done."""
+        """Advance the stage by one step."""
         if self._task is not None:
             self._bars.advance(self._task)
 
     def warn(self, text: str) -> None:
-        """Say what the user ought to know, once."""
+        """Print a warning."""
         self._console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
@@ -60,6 +72,7 @@ class Progress:
         if self._task is None:
             return
         if self._bars.disable and done:
-            self._console.print(f"{self._name}: {time.monotonic() - self._started:.1f} s", markup=False)
+            seconds = time.monotonic() - self._started
+            self._console.print(f"{self._name}: {seconds:.1f} s", markup=False)
         self._bars.stop_task(self._task)
         self._task = None

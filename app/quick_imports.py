@@ -1,4 +1,4 @@
-"""Importing without Python's collector of cycles, which would go over all that was imported before, many times, for nothing."""
+"""Imports without garbage collection, which would traverse all imported modules many times."""
 
 import gc
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def quick_imports() -> Iterator[None]:
-    """Let the collector rest, and never look at what was made meanwhile: modules stay until the process ends."""
+    """Pause the garbage collector, and exclude the imported objects from it for good."""
     gc.disable()
     try:
         yield

@@ -1,18 +1,20 @@
-"""Tables of text, for the terminal and in Markdown for the viewer."""
+"""Tables for the terminal, and in Markdown for the viewer."""
 
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
 
 _WIDTH = 120
 
 
 def table_console() -> Console:
-    """Standard output for a table, which stays whole where nobody's terminal says how wide it is."""
+    """Return a console on standard output; outside a terminal it has at least 120 columns."""
     console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=max(console.width, _WIDTH))
+    if console.is_terminal:
+        return console
+    return Console(highlight=False, width=max(console.width, _WIDTH))
 
 
 def make_table(
@@ -23,10 +25,11 @@ def make_table(
     no_wrap: bool = False,
     **options: Any,  # noqa: ANN401 - Rich's own
 ) -> Table:
-    """A table whose columns are right-justified but for those in `left`; words that do not fit are folded, not cut."""
+    """Return a table of right-justified columns, except those in `left`. Long cells are folded."""
     table = Table(title=title, title_justify="left", **options)
     for number, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if number in left else "right", no_wrap=no_wrap, overflow="fold")
+        justify: JustifyMethod = "left" if number in left else "right"
+        table.add_column(heading, justify=justify, no_wrap=no_wrap, overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table
@@ -40,5 +43,6 @@ def in_markdown(tables: Iterable[Table]) -> str:
     parts = []
     for table in tables:
         rows = zip(*([str(cell) for cell in column.cells] for column in table.columns), strict=True)
-        parts += [f"## {table.title}", "", *markdown_table([str(column.header) for column in table.columns], rows), ""]
+        headings = [str(column.header) for column in table.columns]
+        parts += [f"## {table.title}", "", *markdown_table(headings, rows), ""]
     return "\n".join(parts)

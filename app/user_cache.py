@@ -1,15 +1,15 @@
-"""The folder in which this user's caches lie."""
+"""The folder of this user's caches."""
 
 import os
 import sys
 from pathlib import Path
 
 CACHE_VARIABLE = "FFMAP_CACHE"
-"""The environment variable that names the folder of the cache, before anything else does."""
+"""The environment variable that names another folder for the odometry cache."""
 
 
 def user_cache() -> Path:
-    """In $XDG_CACHE_HOME or ~/.cache, or what the system uses instead; $FFMAP_CACHE is not asked."""
+    """Return the folder in $XDG_CACHE_HOME, ~/.cache or the system's equivalent."""
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":

@@ -1,4 +1,4 @@
-"""ffmap run: from the options to a finished run folder, and five lines on what came of it."""
+"""ffmap run: make a run folder from a bag and print a summary of five lines."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -30,9 +30,9 @@ def run(
     overwrite: bool = False,
     latest: bool = False,
 ) -> None:
-    """Run on a bag; see `make_ready`. latest: whether `latest` beside the folder is to point at it.
+    """Run on a bag. latest: point the link `latest` beside the run folder at it.
 
-    Raises InputError for what the user can mend, as where another run is at the folder.
+    Raises InputError if the input is unusable or `out` holds another run.
     """
     with ExitStack() as stack:
         ready = make_ready(stack, bag, settings, options, out, overwrite)
@@ -40,7 +40,7 @@ def run(
 
 
 def resume(folder: Path, options: RunOptions) -> None:
-    """Go on with a run that was killed, unless it is complete. options: see `make_ready_again`."""
+    """Continue a run that was killed, unless it is complete."""
     with ExitStack() as stack:
         ready = make_ready_again(stack, folder, options)
         if ready is not None:
@@ -52,23 +52,23 @@ def _perform(ready: Ready, latest: bool) -> None:
     folder, record = ready.folder, carry_out(ready)
     if latest:
         point_latest_at(folder.path.resolve())
-    quality = "unknown: the comparison with the truth came to no end, as is told below"
+    quality = "unknown: the evaluation failed, see the error below"
     try:
         metrics = None
         if options.evaluate and inputs.vertical is not None:
-            how_to_go_on = f"'ffmap evaluate {folder.path}' compares it with the truth"
+            how_to_go_on = f"'ffmap evaluate {folder.path}' evaluates it"
             with interruptible(f"the run is complete, {how_to_go_on}"):
                 metrics = _evaluate(folder, options)
         quality = _quality(folder, inputs, options, metrics)
     finally:
-        # The run is complete, whatever becomes of its comparison with the truth.
+        # The run is complete even if its evaluation failed.
         if not options.quiet:
             recorded = Output.RECORDING in options.outputs
             lines = {
                 "made": _made(inputs, record),
                 "quality": quality,
                 "results": str(folder.path),
-                "look": view_command(folder.path) if recorded else "no recording was asked for",
+                "look": view_command(folder.path) if recorded else "no recording was written",
                 "warnings": _warnings(folder, record["warnings"]),
             }
             for name, text in lines.items():
@@ -76,7 +76,7 @@ def _perform(ready: Ready, latest: bool) -> None:
 
 
 def _evaluate(folder: RunFolder, options: RunOptions) -> "Metrics | None":
-    """The figures against the truth; None where the bag carries none."""
+    """Evaluate the run; None if the bag holds no ground truth."""
     from ffmap.app.analysis.evaluation import evaluate_run, has_truth
     from ffmap.app.analysis.metrics_tables import print_metrics
 
@@ -95,9 +95,8 @@ def _made(inputs: Inputs, record: dict[str, Any]) -> str:
     counts, seconds = record["counts"], record["timings_s"]["total"]
     if inputs.vertical is None:
         return (
-            f"{counts.get('registrations', 0)} scans registered in {seconds:.1f} s; there is "
-            f"nothing to label: {inputs.bag_path.name} has no lidar that sweeps the walls (a "
-            "vertical one, its spin axis level)"
+            f"{counts.get('registrations', 0)} scans registered in {seconds:.1f} s; nothing was "
+            f"labelled: {inputs.bag_path.name} has no vertical lidar (with a level spin axis)"
         )
     return (
         f"{counts['scans']} of {counts['clouds']} scans labelled, {counts['walls']} wall faces, "
@@ -111,15 +110,15 @@ def _quality(
     if metrics is not None:
         from ffmap.app.analysis.metrics_tables import in_one_line
 
-        said = f"{in_one_line(metrics)}; all figures in {folder.path / METRICS}"
-        return said if options.verbose else f"{said}, -v prints them"
+        summary = f"{in_one_line(metrics)}; all figures in {folder.path / METRICS}"
+        return summary if options.verbose else f"{summary}, -v prints them"
     if inputs.vertical is None:
-        return "unknown: only what is labelled is compared with the truth"
+        return "unknown: without labels there is nothing to evaluate"
     if not options.evaluate:
-        return "unknown: not compared with the truth, as --no-evaluate says"
+        return "unknown: not evaluated (--no-evaluate)"
     return (
-        f"unknown: the bag carries no truth; 'ffmap evaluate {folder.path} --truth FILE' compares "
-        "with another's"
+        "unknown: the bag holds no ground truth; "
+        f"'ffmap evaluate {folder.path} --truth FILE' reads it from another file"
     )
 
 
