@@ -786,7 +786,7 @@ def test_real_lidar_gives_a_trajectory_and_nothing_to_label(environment: dict[st
     shutil.copy(bag, tmp_path / "hilti.bag")
     done = ffmap_here(environment, "run", tmp_path / "hilti.bag", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
-    assert "nothing to label" in done.stdout
+    assert "nothing was labelled" in done.stdout
     found = np.loadtxt(tmp_path / "run" / "trajectory.tum")[:, 1:4]
     given = np.loadtxt(Path(data) / "hilti_14.tum")[:, 1:4]
     # Umeyama's alignment without scale.
