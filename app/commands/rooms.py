@@ -1,8 +1,8 @@
-"""`ffmap rooms`: rooms of any system's grid map, and how well they meet rooms drawn by hand."""
+"""`ffmap rooms`: segment any system's grid map into rooms, and compare with rooms drawn by hand."""
 
 import sys
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,89 +34,22 @@ from ffmap.loaders.geojson import read_features, segments
 from ffmap.loaders.text_files import read_json
 
 CELLS_MAX = 8_000_000
-"""A map with more cells around its free space is segmented with larger ones: time and memory stay bounded."""
-TOPOLOGY = "topology.json"
-PICTURE = "rooms.png"
-RECORDING = "rooms.rrd"
+"""Maps with more cells around their free space are coarsened: time and memory stay bounded."""
+TOPOLOGY, PICTURE, RECORDING = "topology.json", "rooms.png", "rooms.rrd"
 FILES = (TOPOLOGY, ROOMS, PICTURE, METRICS, RECORDING)
 TRUTH_SUFFIX = "_gt_segmentation"
 IMAGES = (".png", ".pgm")
 
-RecordingWriter = Callable[[Path, AreaGraph], None]
-
 
 @dataclass(frozen=True)
-class _Segmenter:
-    """How maps are segmented.
-
-    out: the folder that the user named. read: other files of the user's that are read.
-    """
+class _Options:
+    """The user's options. read: files that must not be overwritten."""
 
     settings: AreaGraphSettings
     resolution: float | None
     out: Path | None
-    doors: Path | None
+    doorways: FloatArray
     read: tuple[Path, ...]
-
-    def __call__(
-        self, path: Path, out: Path, truth: Path | None
-    ) -> tuple[AreaGraph, RoomFigures | None]:
-        """Segment one map and write its files into `out`."""
-        self._check_out(out, path)
-        grid = read_map(path, self.resolution)
-        if not (grid.cells == Cell.FREE).any():
-            raise InputError(
-                f"{path}: the map has no free cell; free is white (over 250) in an image, and what "
-                "a YAML file's own free_thresh says"
-            )
-        doorways = _doorways(self.doors) if self.doors is not None else NO_DOORWAYS
-        coarse = coarsened(grid, CELLS_MAX)
-        if coarse.cell_m > grid.cell_m:
-            typer.echo(
-                f"{path}: {grid.cells.shape[1]} × {grid.cells.shape[0]} cells are many; "
-                f"segmented with cells of {coarse.cell_m:g} m",
-                err=True,
-            )
-        with ThreadPoolExecutor(1) as beside:
-            # Rerun takes as long to load as a large map to segment, which mostly leaves the
-            # interpreter to others.
-            recording = beside.submit(_prepare_recording, coarse)
-            graph = find_rooms(coarse, self.settings, doorways)
-        if not len(graph):
-            raise InputError(
-                f"{path}: no room has {self.settings.room_min_m2:g} m² or more with pixels of "
-                f"{grid.cell_m:g} m; is the resolution right? see --set area_graph.room_min_m2"
-            )
-        figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
-        _write(out, path, coarse, graph, figures, recording.result())
-        return graph, figures
-
-    def _check_out(self, out: Path, path: Path) -> None:
-        """Check that no file would be replaced that is read, or not of the rooms of this map.
-
-        A folder that the user named may have the rooms of another map; one that the program chose
-        may not.
-        """
-        written = [out / name for name in FILES]
-        read = {file.resolve() for file in (path, *self.read)}
-        for file in written:
-            check_no_run_loses(file)
-            if file.resolve() in read:
-                raise InputError(
-                    f"{file}: is read, and would be replaced; give another folder to --out"
-                )
-        there = [file for file in written if file.exists()]
-        before = _map_of(out)
-        if there and before is None:
-            raise InputError(
-                f"{there[0]}: is there already, and not by 'ffmap rooms'; give another folder "
-                "to --out"
-            )
-        if before is not None and before != str(path.resolve()) and self.out is None:
-            raise InputError(
-                f"{out}: has the rooms of {before} already; give another folder to --out, or the "
-                "same to replace them"
-            )
 
 
 def rooms(
@@ -129,50 +62,126 @@ def rooms(
     overrides: Sequence[str] = (),
 ) -> None:
     """Segment a map, or every map of a folder that has its truth beside it; write and print."""
-    read = tuple(file for file in (truth, doors, config) if file is not None)
     settings = load_settings(config, overrides).area_graph
-    segment = _Segmenter(settings, resolution, out, doors, read)
+    read = tuple(file for file in (truth, doors, config) if file is not None)
+    doorways = NO_DOORWAYS if doors is None else _doorways(doors)
+    options = _Options(settings, resolution, out, doorways, read)
     if path.is_dir():
         if truth is not None:
             raise InputError(
                 "--truth: for one map; in a folder the truth of X.png is the longest fit of "
                 f"Y{TRUTH_SUFFIX}.png"
             )
-        _segment_folder(path, segment)
+        _segment_folder(path, options)
         return
     out = out or Path("rooms") / path.stem
-    graph, figures = segment(path, out, truth)
+    graph, figures = _segment(path, out, truth, options)
     console = Console(highlight=False)
     console.print(_rooms_table(graph))
     if figures is not None:
-        console.print(_truth_line(figures))
-    typer.echo(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: {view_command(out / RECORDING)}")
+        true, found, recall, precision, split, merged = _cells([figures])
+        console.print(
+            f"{found} rooms for {true} true ones: recall {recall} %, precision {precision} %; "
+            f"{split} split, {merged} merged"
+        )
+    view = view_command(out / RECORDING)
+    typer.echo(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: {view}")
 
 
-def _segment_folder(folder: Path, segment: _Segmenter) -> None:
-    """Every map that has rooms drawn by hand beside it, and the mean of each kind of maps."""
+def _segment(
+    path: Path, out: Path, truth: Path | None, options: _Options
+) -> tuple[AreaGraph, RoomFigures | None]:
+    """Segment one map and write its files into `out`."""
+    _check_out(out, path, options)
+    grid = read_map(path, options.resolution)
+    if not (grid.cells == Cell.FREE).any():
+        raise InputError(
+            f"{path}: the map has no free cell; free is white (over 250) in an image, and below "
+            "free_thresh with a YAML file"
+        )
+    coarse = coarsened(grid, CELLS_MAX)
+    if coarse.cell_m > grid.cell_m:
+        rows, columns = grid.cells.shape
+        size = f"{columns} × {rows} cells are many; segmented with cells of {coarse.cell_m:g} m"
+        typer.echo(f"{path}: {size}", err=True)
+    graph = find_rooms(coarse, options.settings, options.doorways)
+    if not len(graph):
+        raise InputError(
+            f"{path}: no room has {options.settings.room_min_m2:g} m² or more with pixels of "
+            f"{grid.cell_m:g} m; is the resolution right? see --set area_graph.room_min_m2"
+        )
+    figures = None if truth is None else _compare(path, grid, coarse, graph, truth)
+    # Imported here: Rerun takes a second to load, and wrong input is reported before.
+    from ffmap.app.record.rooms import write_recording
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        # First: it names the map to which the other files belong.
+        write_json(out / TOPOLOGY, {"map": str(path.resolve()), **topology(graph)})
+        write_rooms(out / ROOMS, graph)
+        write_rooms_picture(out / PICTURE, coarse, graph)
+        if figures is not None:
+            write_json(out / METRICS, {"rooms": _figures([figures])})
+        write_recording(out / RECORDING, coarse, graph)
+    except OSError as error:
+        reason = f"cannot be written ({error.strerror})"
+        raise InputError(f"{out}: {reason}; give another folder to --out") from error
+    return graph, figures
+
+
+def _check_out(out: Path, path: Path, options: _Options) -> None:
+    """Raise InputError where a file would be replaced that is read, or is not this map's rooms.
+
+    In a folder that the user named, rooms of another map are replaced.
+    """
+    read = {file.resolve() for file in (path, *options.read)}
+    for file in (out / name for name in FILES):
+        check_no_run_loses(file)
+        if file.resolve() in read:
+            raise InputError(
+                f"{file}: is read, and would be replaced; give another folder to --out"
+            )
+    try:
+        before = str(read_json(out / TOPOLOGY, "")["map"])
+    except (InputError, LookupError, TypeError):
+        before = None
+    there = [out / name for name in FILES if (out / name).exists()]
+    if there and before is None:
+        raise InputError(
+            f"{there[0]}: is there already, and not by 'ffmap rooms'; give another folder to --out"
+        )
+    if before not in (None, str(path.resolve())) and options.out is None:
+        raise InputError(
+            f"{out}: has the rooms of {before} already; give another folder to --out, or the "
+            "same to replace them"
+        )
+
+
+def _segment_folder(folder: Path, options: _Options) -> None:
+    """Segment every map that has its truth beside it; print figures and means by kind of map."""
     pairs = _pairs(folder)
     if not pairs:
         raise InputError(
             f"{folder}: no map has rooms beside it (as office_a.png has "
             f"office_a{TRUTH_SUFFIX}.png); give one map"
         )
-    out = segment.out or Path("rooms")
+    out = options.out or Path("rooms")
     rows: list[list[str]] = []
     failed: list[str] = []
-    by_kind: dict[str, list[RoomFigures]] = {}
+    by_kind: dict[str, list[RoomFigures]] = defaultdict(list)
     for path, truth in pairs:
         try:
-            _, figures = segment(path, out / path.stem, truth)
+            _, figures = _segment(path, out / path.stem, truth, options)
         except InputError as error:
             failed.append(str(error))
-            continue
         except Exception as error:
-            failed.append(f"{path}: could not be segmented ({type(error).__name__}: {error}); leave it out, and report it")
-            continue
-        assert figures is not None
-        by_kind.setdefault(path.stem.removeprefix(truth.stem.removesuffix(TRUTH_SUFFIX)), []).append(figures)
-        rows.append([path.stem, *_cells([figures])])
+            reason = f"could not be segmented ({type(error).__name__}: {error})"
+            failed.append(f"{path}: {reason}; leave it out, and report it")
+        else:
+            assert figures is not None
+            kind = path.stem.removeprefix(truth.stem.removesuffix(TRUTH_SUFFIX))
+            by_kind[kind].append(figures)
+            rows.append([path.stem, *_cells([figures])])
     if not rows:
         raise InputError(failed[0])
     headings = ("map", "true", "found", "recall", "precision", "split", "merged")
@@ -188,53 +197,23 @@ def _segment_folder(folder: Path, segment: _Segmenter) -> None:
 
 
 def _pairs(folder: Path) -> list[tuple[Path, Path]]:
+    """Pair each map with the truth whose name is the longest beginning of its own."""
     images = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGES)
-    truths = [path for path in images if path.stem.endswith(TRUTH_SUFFIX)]
+    truths = {path.stem.removesuffix(TRUTH_SUFFIX): path for path in images if _is_truth(path)}
     pairs = []
     for path in images:
-        fits = [truth for truth in truths if path.stem.startswith(truth.stem.removesuffix(TRUTH_SUFFIX))]
-        if path not in truths and fits:
-            pairs.append((path, max(fits, key=lambda truth: len(truth.stem))))
+        fits = [name for name in truths if path.stem.startswith(name)]
+        if fits and not _is_truth(path):
+            pairs.append((path, truths[max(fits, key=len)]))
     return pairs
 
 
-def _map_of(out: Path) -> str | None:
-    """Which map's rooms a folder has; None where it has none."""
-    try:
-        return str(read_json(out / TOPOLOGY, "")["map"])
-    except (InputError, LookupError, TypeError):
-        return None
-
-
-def _prepare_recording(grid: GridMap) -> RecordingWriter:
-    from ffmap.app.record.rooms import prepare_recording
-
-    return prepare_recording(grid)
-
-
-def _write(
-    out: Path,
-    path: Path,
-    grid: GridMap,
-    graph: AreaGraph,
-    figures: RoomFigures | None,
-    write_recording: RecordingWriter,
-) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        # First: it says whose the others are.
-        write_json(out / TOPOLOGY, {"map": str(path.resolve()), **topology(graph)})
-        write_rooms(out / ROOMS, graph)
-        write_rooms_picture(out / PICTURE, grid, graph)
-        if figures is not None:
-            write_json(out / METRICS, {"rooms": _figures([figures])})
-        write_recording(out / RECORDING, graph)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written ({error.strerror}); give another folder to --out") from error
+def _is_truth(path: Path) -> bool:
+    return path.stem.endswith(TRUTH_SUFFIX)
 
 
 def _figures(of_maps: Sequence[RoomFigures]) -> dict[str, float]:
-    """Sums of counts and means of fractions over several maps, named as in a run's metrics.json."""
+    """Sum counts and average fractions over maps, named as in a run's metrics.json."""
     return {
         "true": sum(len(one.recall) for one in of_maps),
         "found": sum(len(one.precision) for one in of_maps),
@@ -249,32 +228,34 @@ def _cells(of_maps: Sequence[RoomFigures]) -> list[str]:
     return [str(v) if isinstance(v, int) else f"{100 * v:.2f}" for v in _figures(of_maps).values()]
 
 
-def _compare(path: Path, grid: GridMap, coarse: GridMap, graph: AreaGraph, truth: Path) -> RoomFigures:
+def _compare(
+    path: Path, grid: GridMap, coarse: GridMap, graph: AreaGraph, truth: Path
+) -> RoomFigures:
     true = rooms_of_image(read_image(truth)[::-1], grid.cell_m)
+    rows, columns = grid.cells.shape
     if true.shape != grid.cells.shape:
         raise InputError(
-            f"{truth}: has {true.shape[1]} × {true.shape[0]} pixels and {path} {grid.cells.shape[1]} × "
-            f"{grid.cells.shape[0]}; give the truth of this map"
+            f"{truth}: has {true.shape[1]} × {true.shape[0]} pixels and {path} {columns} × {rows}; "
+            "give the truth of this map"
         )
-    return compare_room_images(true, _spread(graph.label, coarse, grid), grid.cells == Cell.FREE, grid.cell_m)
+    return compare_room_images(
+        true, _refined(graph.label, coarse, grid), grid.cells == Cell.FREE, grid.cell_m
+    )
 
 
-def _spread(label: IntArray, coarse: GridMap, grid: GridMap) -> IntArray:
-    """The label of a coarsened grid, in the cells of the grid itself."""
+def _refined(label: IntArray, coarse: GridMap, grid: GridMap) -> IntArray:
+    """Return a coarsened grid's labels in the cells of the grid itself."""
     factor = round(coarse.cell_m / grid.cell_m)
     column, row = np.rint((coarse.origin - grid.origin) / grid.cell_m).astype(int)
-    fine = np.repeat(np.repeat(label, factor, axis=0), factor, axis=1)
     whole = np.full(grid.cells.shape, -1, np.int32)
-    rows, columns = grid.cells.shape
-    fine = fine[: rows - row, : columns - column]
-    whole[row : row + len(fine), column : column + fine.shape[1]] = fine
+    part = whole[row : row + factor * label.shape[0], column : column + factor * label.shape[1]]
+    part[:] = label.repeat(factor, axis=0).repeat(factor, axis=1)[: part.shape[0], : part.shape[1]]
     return whole
 
 
 def _doorways(path: Path) -> FloatArray:
-    """Sills of a doors.geojson, without depth."""
-    features = read_features(path, "lines", "give a run's doors.geojson")
-    sills = segments(features)
+    """Read the sills of a doors.geojson, as doorways without depth."""
+    sills = segments(read_features(path, "lines", "give a run's doors.geojson"))
     return np.concatenate([sills, sills[:, ::-1]], axis=1)
 
 
@@ -285,8 +266,3 @@ def _rooms_table(graph: AreaGraph) -> Table:
     ]
     title = f"{len(graph)} rooms, {len(graph.passages)} passages"
     return make_table(title, ("room", "m²", "leads to"), rows, left=(0, 2))
-
-
-def _truth_line(figures: RoomFigures) -> str:
-    true, found, recall, precision, split, merged = _cells([figures])
-    return f"{found} rooms for {true} true ones: recall {recall} %, precision {precision} %; {split} split, {merged} merged"

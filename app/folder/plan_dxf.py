@@ -17,17 +17,25 @@ if TYPE_CHECKING:
     from ezdxf.layouts.layout import Modelspace
 
 _MARGIN_M = 1.0
-LAYERS = {"WALLS": 7, "WALLS_ONE_SIDE_SEEN": 8, "COLUMNS": 7, "DOORS": 5, "WINDOWS": 4, "ROOMS": 3, "ROOM_NAMES": 3}
+LAYERS = {
+    "WALLS": 7,
+    "WALLS_ONE_SIDE_SEEN": 8,
+    "COLUMNS": 7,
+    "DOORS": 5,
+    "WINDOWS": 4,
+    "ROOMS": 3,
+    "ROOM_NAMES": 3,
+}
 """Layers with their colours (AutoCAD's colour index)."""
 
 
 def write_dxf(path: Path, plan: FloorPlan) -> None:
-    """Closed polylines with solid hatches, arcs and texts on `LAYERS`, in metres of the map frame.
+    """Write closed polylines with solid hatches, arcs and texts on `LAYERS`.
 
-    Coordinates stay the map's, so that the other files can be laid over it. The view it opens with is twisted so that the
-    walls stand square, and the named coordinate system `WALLS` lies along them.
+    Coordinates are metres of the map frame, so that other files fit over the plan. The first view
+    is twisted to show the walls upright; the named coordinate system `WALLS` is parallel to them.
     """
-    # Imported here: it takes a tenth of a second, and no run needs it before its maps are made.
+    # Imported here: it takes a tenth of a second to load.
     from ezdxf.enums import TextEntityAlignment
     from ezdxf.filemanagement import new
     from ezdxf.units import M as METRES
@@ -47,28 +55,31 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
         for polygon in polygons:
             _add_polygon(space, polygon, layer, filled)
     for window in plan.windows:
-        space.add_lwpolyline(pane(window).tolist(), dxfattribs={"layer": "WINDOWS"})
+        space.add_lwpolyline(pane(window).coords, dxfattribs={"layer": "WINDOWS"})
     for door in plan.doors:
         _add_door(space, door)
+    attributes = {"layer": "ROOM_NAMES", "rotation": plan.direction_deg}
     for room in plan.rooms:
         place = shapely.get_coordinates(room.polygon.representative_point())[0]
-        for words, height, below_m in ((room.name, 0.25, 0.0), (f"{room.area_m2:.1f} m²", 0.2, 0.35)):
-            attributes = {"layer": "ROOM_NAMES", "rotation": plan.direction_deg}
-            text = space.add_text(words, height=height, dxfattribs=attributes)
+        for line, height, below_m in (
+            (room.name, 0.25, 0.0),
+            (f"{room.area_m2:.1f} m²", 0.2, 0.35),
+        ):
             x, y = place - turned(np.array([0.0, below_m]), plan.direction_deg)
+            text = space.add_text(line, height=height, dxfattribs=attributes)
             text.set_placement((x, y), align=TextEntityAlignment.MIDDLE_CENTER)
-    _look_square(document, plan)
+    _set_view(document, plan)
     with written_whole(path) as part:
         document.saveas(part)
 
 
-def _look_square(document: "Drawing", plan: FloorPlan) -> None:
+def _set_view(document: "Drawing", plan: FloorPlan) -> None:
     """Twist the first view of model space, and name the coordinate system along the walls."""
     x_axis, y_axis = turned(np.eye(2), plan.direction_deg)
     document.ucs.new("WALLS", dxfattribs={"xaxis": (*x_axis, 0.0), "yaxis": (*y_axis, 0.0)})
-    low, high = extent(plan)
+    low, high = extent(plan).reshape(2, 2)
     height_m = max(float((high - low).max()), 1.0) + 2 * _MARGIN_M
-    # The middle of a twisted view counts in the view's own axes.
+    # The centre of a twisted view is given in the view's own axes.
     view = document.set_modelspace_vport(height_m, center=tuple((low + high) / 2))
     view.dxf.view_twist = -plan.direction_deg % 360.0
 
@@ -90,7 +101,8 @@ def _add_door(space: "Modelspace", door: PlanDoor) -> None:
         space.add_lwpolyline(door.closed.tolist(), dxfattribs=attributes)
     for leaf in door.leaves:
         space.add_line(tuple(leaf.hinge), tuple(leaf.tip), dxfattribs=attributes)
-        angles = [float(np.degrees(np.arctan2(*(end - leaf.hinge)[::-1]))) for end in (shut_tip(leaf), leaf.tip)]
-        start, end = angles if leaf.swing_deg > 0 else angles[::-1]
-        radius = float(np.linalg.norm(leaf.tip - leaf.hinge))
+        along = np.array([shut_tip(leaf), leaf.tip]) - leaf.hinge
+        shut_deg, open_deg = np.degrees(np.arctan2(along[:, 1], along[:, 0])).tolist()
+        start, end = (shut_deg, open_deg) if leaf.swing_deg > 0 else (open_deg, shut_deg)
+        radius = float(np.linalg.norm(along[1]))
         space.add_arc(tuple(leaf.hinge), radius, start, end, dxfattribs=attributes)

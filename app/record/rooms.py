@@ -1,7 +1,7 @@
 """Rooms as Rerun entities: coloured floors with names and areas, and their topology as a graph."""
 
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -27,17 +27,12 @@ _INSETS_M = 0.0, 0.001, 0.002
 """GEOS fails to triangulate some areas whose rings touch each other; a millimetre within the area, they do not touch."""
 
 
-def prepare_recording(grid: GridMap) -> Callable[[Path, AreaGraph], None]:
-    """All that needs no rooms of a segmented map's recording; what is returned writes it, its layout inside."""
-    blueprint = rooms_blueprint.build(*view_of(grid))
-
-    def write(path: Path, graph: AreaGraph) -> None:
-        with open_log(path, str(uuid.uuid4()), layout=blueprint) as log:
-            log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-            log_grid(log, entities.SEGMENTED, grid)
-            log_rooms(log, graph)
-
-    return write
+def write_recording(path: Path, grid: GridMap, graph: AreaGraph) -> None:
+    """Write a segmented map with its rooms, and the viewer's layout."""
+    with open_log(path, str(uuid.uuid4()), layout=rooms_blueprint.build(*view_of(grid))) as log:
+        log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        log_grid(log, entities.SEGMENTED, grid)
+        log_rooms(log, graph)
 
 
 def log_rooms(log: Log, graph: AreaGraph) -> None:
