@@ -1,1 +1,1 @@
-"""What all steps share: scans, labels, rigid transforms, trajectories, segments seen from above, the settings' base class."""
+"""What all steps share: scans, labels, transforms, trajectories, faces seen from above."""

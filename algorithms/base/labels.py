@@ -1,8 +1,8 @@
-"""The classes that a point can have (paper, III.C and Fig. 8; "outside" is this program's own)."""
+"""The classes of points (paper, III.C and Fig. 8; "outside" is not in the paper)."""
 
 from enum import IntEnum
 
-NO_RETURN = 255  # the label of a place in the cloud where the sensor returned nothing (NaN or zero)
+NO_RETURN = 255  # the label where the sensor returned nothing (NaN or zero)
 
 
 class Label(IntEnum):
@@ -15,7 +15,7 @@ class Label(IntEnum):
 
 
 class Truth(IntEnum):
-    """The classes of a bag's truth; the first six are those of `Label`."""
+    """The classes of a bag's ground truth; the first six are those of `Label`."""
 
     CLUTTER = 0
     FLOOR = 1
@@ -31,7 +31,7 @@ class Truth(IntEnum):
 
 
 class Verdict(IntEnum):
-    """What is wrong with a label, if anything is."""
+    """Whether a label is right, and the kind of error if not."""
 
     RIGHT = 0
     FALSE_WALL = 1

@@ -1,4 +1,4 @@
-"""Which faces are near a place of the plan, and which lie in a direction: so that a return, or a ray, asks about few of them."""
+"""Spatial indices of faces seen from above: near a point, and by direction from a sensor."""
 
 import numba
 import numpy as np
@@ -6,17 +6,17 @@ import numpy as np
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import LENGTH, Faces, along_line, before_line, lines_of
 
-SECTORS = 512  # directions about a sensor that rays are sorted into
-_CELL_M = 0.5  # edge of the cells of the plan
-_HEADER = 4  # what an index holds before the cells' lists: its first column and row, its numbers of columns and rows
+SECTORS = 512  # of directions about a sensor
+_CELL_M = 0.5  # edge of a cell
+_HEADER = 4  # entries before the cells: first column and row, number of columns and rows
 
 
 def index_near(faces: Faces, reach_m: float) -> IntArray:
-    """For each cell of the plan the faces that are at most `reach_m` away from any place in it, ascending, as one array.
+    """List for each grid cell the faces at most `reach_m` away from any point in it, ascending.
 
-    It is read by `cell_at`: where `p = cell_at(index, x, y)`, the faces near x, y are `index[index[p]:index[p + 1]]`. One
-    array, because compiled code counts references of each array that it takes out of a tuple, which costs more than the
-    question that it asks.
+    With `p = cell_at(index, x, y)`, the faces near (x, y) are `index[index[p]:index[p + 1]]`. A
+    single array, because compiled code counts references to each array that it takes out of a
+    tuple, which costs more than the look-up.
     """
     ends = np.ascontiguousarray(faces.ends, np.float64)
     if not len(ends):
@@ -26,26 +26,34 @@ def index_near(faces: Faces, reach_m: float) -> IntArray:
     count = np.zeros(int(shape.prod()), np.int64)
     _list_near(ends, reach_m, first, shape, count, np.zeros(0, np.int64))
     starts = _HEADER + len(count) + 2 + np.concatenate([[0], np.cumsum(count)])
-    # The last cell stands for all places beyond the grid, and has none.
-    index = np.concatenate([first, shape, starts, starts[-1:], np.empty(int(count.sum()), np.int64)])
+    # The last cell is everything beyond the grid, where no face is near.
+    faces_of_cells = np.empty(int(count.sum()), np.int64)
+    index = np.concatenate([first, shape, starts, starts[-1:], faces_of_cells])
     _list_near(ends, reach_m, first, shape, starts[:-1].copy(), index)
     return index
 
 
 @numba.njit(cache=True, nogil=True)
 def _list_near(
-    ends: FloatArray, reach_m: float, first: IntArray, shape: IntArray, place: IntArray, index: IntArray
+    ends: FloatArray,
+    reach_m: float,
+    first: IntArray,
+    shape: IntArray,
+    place: IntArray,
+    index: IntArray,
 ) -> None:  # pragma: no cover
-    """Put each face where its cells' lists are to go on, and move these places on; only move them if `index` is empty."""
+    """Write each face to index[place[cell]] and advance place; only advance if index is empty."""
     far_m = reach_m + _CELL_M * np.sqrt(0.5)
     for k in range(len(ends)):
         x, y = ends[k, 0, 0] - first[0] * _CELL_M, ends[k, 0, 1] - first[1] * _CELL_M
         dx, dy = ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1]
         square = max(dx * dx + dy * dy, 1e-12)
-        left, right = min(x, x + dx) - far_m, max(x, x + dx) + far_m
-        low, high = min(y, y + dy) - far_m, max(y, y + dy) + far_m
-        for row in range(max(int(low / _CELL_M), 0), min(int(high / _CELL_M) + 1, shape[1])):
-            for column in range(max(int(left / _CELL_M), 0), min(int(right / _CELL_M) + 1, shape[0])):
+        left = max(int((min(x, x + dx) - far_m) / _CELL_M), 0)
+        right = min(int((max(x, x + dx) + far_m) / _CELL_M) + 1, shape[0])
+        low = max(int((min(y, y + dy) - far_m) / _CELL_M), 0)
+        high = min(int((max(y, y + dy) + far_m) / _CELL_M) + 1, shape[1])
+        for row in range(low, high):
+            for column in range(left, right):
                 cx, cy = (column + 0.5) * _CELL_M - x, (row + 0.5) * _CELL_M - y
                 share = min(max((cx * dx + cy * dy) / square, 0.0), 1.0)
                 if np.hypot(cx - share * dx, cy - share * dy) <= far_m:
@@ -57,18 +65,21 @@ def _list_near(
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
 def cell_at(index: IntArray, x: float, y: float) -> int:  # pragma: no cover
-    """Where an index from `index_near` says which of its faces are near a place."""
-    column, row = int(np.floor(x / _CELL_M)) - index[0], int(np.floor(y / _CELL_M)) - index[1]
+    """The entry of `index_near` with the start of the list of faces near a point."""
+    column = int(np.floor(x / _CELL_M)) - index[0]
+    row = int(np.floor(y / _CELL_M)) - index[1]
     if column < 0 or row < 0 or column >= index[2] or row >= index[3]:
         return int(_HEADER + index[2] * index[3])
     return int(_HEADER + row * index[2] + column)
 
 
 def pairs_near(faces: Faces, points: FloatArray, reach_m: float) -> tuple[IntArray, IntArray]:
-    """Point and face (p,), for each of the points (n, 2 or 3) and each face that it lies at: less than `reach_m` before or
-    behind it, and less than that beyond its ends."""
-    index = index_near(faces, 2.0 * reach_m)
-    return _pairs_near(np.ascontiguousarray(points, np.float64), lines_of(faces), index, reach_m)
+    """Find all pairs (p,) of a point (n, 2 or 3) and a face that it is near.
+
+    Near: less than `reach_m` before or behind the face, and less than that beyond its ends.
+    """
+    index, lines = index_near(faces, 2.0 * reach_m), lines_of(faces)
+    return _pairs_near(np.ascontiguousarray(points, np.float64), lines, index, reach_m)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -86,7 +97,8 @@ def _pairs_near(
                 along = along_line(lines, k, x, y)
                 if -reach_m < along < lines[k, LENGTH] + reach_m:
                     if count == len(point):
-                        point, face = np.concatenate((point, point)), np.concatenate((face, face))
+                        point = np.concatenate((point, point))
+                        face = np.concatenate((face, face))
                     point[count], face[count] = i, k
                     count += 1
     return point[:count], face[:count]
@@ -94,9 +106,9 @@ def _pairs_near(
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
 def sector_of(x: float, y: float) -> int:  # pragma: no cover
-    """The sector, of `SECTORS` about a sensor, in which the direction (x, y) lies; 0 for none.
+    """The sector, of `SECTORS`, of a direction (x, y); 0 where both are 0.
 
-    Sectors part the square |x| + |y| = 1 evenly, not the circle: no ray needs an arc tangent.
+    Sectors divide the square |x| + |y| = 1 evenly, not the circle: no ray needs an arc tangent.
     """
     total = abs(x) + abs(y)
     if total == 0.0:
@@ -107,9 +119,9 @@ def sector_of(x: float, y: float) -> int:  # pragma: no cover
 
 @numba.njit(cache=True, nogil=True)
 def sectors_around(points: FloatArray) -> tuple[int, int]:  # pragma: no cover
-    """The first sector that the shape around points (n, 2), as seen from (0, 0), may reach into, and how many do.
+    """First sector and number of sectors that the convex hull of points (n, 2) may reach into.
 
-    From where it is seen the shape must be less than half a turn wide.
+    Seen from (0, 0), it must be less than half a turn wide.
     """
     middle = np.arctan2(points[:, 1].mean(), points[:, 0].mean())
     low, high = 0.0, 0.0
@@ -123,7 +135,9 @@ def sectors_around(points: FloatArray) -> tuple[int, int]:  # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def enter(face: int, first: int, sectors: int, faces: IntArray, count: IntArray) -> None:  # pragma: no cover
+def enter(
+    face: int, first: int, sectors: int, faces: IntArray, count: IntArray
+) -> None:  # pragma: no cover
     """Add a face to the lists of its sectors: faces (SECTORS, n), count (SECTORS,)."""
     for k in range(first, first + sectors):
         sector = k % SECTORS

@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from ffmap.algorithms.base.rings import RingOrder
 from ffmap.algorithms.base.settings import StepSettings
 
 FloatArray = npt.NDArray[np.floating[Any]]
@@ -25,26 +24,44 @@ class ScanSettings(StepSettings):
         100.0,
         gt=0,
         le=150,
-        description="Maximum distance (m) of a return from the lidar: indoors, farther ones are errors.",
+        description="Maximum range (m) of a return: indoors, farther returns are errors.",
     )
     own_body: bool = Field(
-        True, description="Leave out the robot's own body: returns near the lidar that stay in one place of it all the time."
+        True,
+        description="Ignore the robot's own body: returns near the lidar that never move in its "
+        "frame.",
     )
 
 
 @dataclass(frozen=True)
-class Scan:
-    """The returns of one revolution, invalid points dropped; all arrays have one row a return, see `in_canonical_order`.
+class RingOrder:
+    """The returns of a scan ring by ring, by increasing azimuth.
 
-    points_sensor: (n, 3) float32, metres, in the sensor's frame; z is its spin axis.
-    ring: (n,) uint16, the emitter, 0 = lowest elevation about the spin axis.
-    ring_count: how many emitters the sensor has.
-    time_ns: (n,) int64, nanoseconds from `start_ns` to each firing, never negative; None where the cloud has no times.
-    start_ns: time of the sweep's first firing; equals `stamp_ns` where the cloud has no times.
+    order: (n,) int32, rows of the scan; order[starts[r]:starts[r + 1]] is ring r.
+    starts: (rings + 1,) int32.
+    turn_rad: (n,) float64, azimuth about the spin axis from x towards y, -π to π, in this order.
+    rank: (n,) int32, the place of each row in this order.
+    """
+
+    order: IntArray
+    starts: IntArray
+    turn_rad: FloatArray
+    rank: IntArray
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The valid returns of one revolution, one row each; see `in_canonical_order`.
+
+    points_sensor: (n, 3) float32, metres; z is the spin axis.
+    ring: (n,) uint16, the emitter; 0 has the lowest elevation about the spin axis.
+    ring_count: number of emitters.
+    time_ns: (n,) int64 from `start_ns` to each firing, never negative; None: the cloud has none.
+    start_ns: time of the first firing; `stamp_ns` where the cloud has no times.
     stamp_ns: the message's header stamp.
-    cloud_index: (n,) int32, the place of each return in the message (row-major), to write labels back.
-    cloud_size: how many points the message has, valid or not.
-    intensity: (n,) float32 in the sensor's own unit, NaN where a return has none; None where the cloud gives none.
+    cloud_index: (n,) int32, the place of each return in the message (row-major).
+    cloud_size: number of points in the message, valid or not.
+    intensity: (n,) float32 in the sensor's unit, NaN where unknown; None: the cloud has none.
     """
 
     points_sensor: FloatArray
@@ -63,40 +80,76 @@ class Scan:
     @property
     def end_ns(self) -> int:
         """Time of the last firing."""
-        return self.start_ns + (int(self.time_ns.max()) if self.time_ns is not None and len(self) else 0)
+        if self.time_ns is None or not len(self):
+            return self.start_ns
+        return self.start_ns + int(self.time_ns.max())
 
     @property
     def reference_ns(self) -> int:
-        """The middle of the sweep, whose pose stands for the whole scan's."""
+        """The middle of the sweep: the time of the scan's pose."""
         return (self.start_ns + self.end_ns) // 2
 
     @cached_property
     def rings(self) -> RingOrder:
-        """Its returns ring by ring: smoothing and point lines both go along the rings."""
-        return RingOrder.of(self.points_sensor, self.ring, self.ring_count)
+        """The returns along the rings, for smoothing and point lines."""
+        turn = _azimuth(self.points_sensor)
+        order, starts = sort_groups(self.ring, turn, self.ring_count)
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order), dtype=np.int32)
+        return RingOrder(order, starts, turn[order].astype(np.float64), rank)
+
+
+def sort_groups(group: IntArray, key: FloatArray, groups: int) -> tuple[IntArray, IntArray]:
+    """Sort rows by group (n,), and within a group by key (n,).
+
+    Returns order (n,) int32 and starts (groups + 1,) int32: order[starts[g]:starts[g + 1]] is
+    group g by increasing key.
+    """
+    starts = np.zeros(groups + 1, np.int32)
+    np.cumsum(np.bincount(group, minlength=groups), out=starts[1:])
+    # Of 16 bits, groups are sorted by radix.
+    return np.lexsort((key, group.astype(np.uint16, copy=False))).astype(np.int32), starts
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+def _azimuth(points: FloatArray) -> FloatArray:  # pragma: no cover
+    """Angle of each return about z from x towards y, -π to π, by a polynomial.
+
+    Within 1.2e-5 rad, a fraction of an encoder's step (Abramowitz and Stegun, 4.4.47). Without
+    branches, so that the compiler vectorizes it.
+    """
+    turn = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        ax, ay = abs(x), abs(y)
+        steep = ay > ax
+        ratio = (ax if steep else ay) / max(max(ax, ay), np.float32(1e-30))
+        s = ratio * ratio
+        a = np.float32(0.0208351)
+        a = a * s - np.float32(0.0851330)
+        a = a * s + np.float32(0.1801410)
+        a = a * s - np.float32(0.3302995)
+        a = (a * s + np.float32(0.9998660)) * ratio
+        a = np.float32(np.pi / 2) - a if steep else a
+        a = np.float32(np.pi) - a if x < 0 else a
+        turn[i] = -a if y < 0 else a
+    return turn
 
 
 def within_range(scan: Scan, range_max_m: float) -> Scan:
-    """The scan without the returns that are farther from the lidar; the very same where there are none."""
-    near = _nearer(scan.points_sensor, range_max_m)
+    """Remove farther returns; returns the same object where there are none."""
+    points = scan.points_sensor
+    near = np.einsum("ij,ij->i", points, points, dtype=np.float64) <= range_max_m**2
     return scan if near.all() else subset(scan, near)
 
 
-@numba.njit(cache=True, nogil=True)
-def _nearer(points: FloatArray, range_max_m: float) -> BoolArray:  # pragma: no cover
-    near = np.empty(len(points), np.bool_)
-    for i in range(len(points)):
-        x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
-        near[i] = x * x + y * y + z * z <= range_max_m * range_max_m
-    return near
-
-
 def in_canonical_order(scan: Scan) -> Scan:
-    """The scan with its returns in an order that the cloud's does not change; the very same where they have it already.
+    """Sort the returns by an order that does not depend on the cloud's; the same object if sorted.
 
-    Every n-th return, or a sum over them, is then the same however a driver arranges its clouds. Where the emitters fire
-    one by one, the order is that of firing. Where several fire at once, or no times are known, it is emitter by emitter
-    from the top, each in order of time or azimuth: of returns in order of firing, every n-th would be the same emitters'.
+    Every n-th return, or a sum over them, is then the same however a driver arranges its clouds.
+    Where emitters fire one by one, the order is by time. Where several fire at once, or no times
+    are known, it is emitter by emitter from the top, each by time or azimuth: in order of firing,
+    every n-th return would belong to the same emitters.
     """
     from_top = scan.ring_count - 1 - scan.ring.astype(np.int64)
     keys: tuple[FloatArray | IntArray, FloatArray | IntArray]
@@ -104,43 +157,22 @@ def in_canonical_order(scan: Scan) -> Scan:
     if scan.time_ns is None:
         keys = from_top, np.arctan2(y, x)
     else:
-        in_time, times = _times_in_order(scan.time_ns)
-        if not in_time:
-            times = 1 + int(np.count_nonzero(np.diff(np.sort(scan.time_ns, kind="stable"))))
-        several_fire = 2 * (times - 1) < len(scan) - 2
+        later_firings = np.count_nonzero(np.diff(np.sort(scan.time_ns, kind="stable")))
+        several_fire = 2 * later_firings < len(scan) - 2
         keys = (from_top, scan.time_ns) if several_fire else (scan.time_ns, from_top)
-    if _in_order(*keys):
+    step, step_within = np.diff(keys[0]), np.diff(keys[1])
+    if np.all((step > 0) | ((step == 0) & (step_within > 0))):
         return scan
     order = np.lexsort(keys[::-1])
     same = [np.diff(key[order]) == 0 for key in keys]
     if np.any(same[0] & same[1]):
-        # What a ray returned twice.
+        # Several returns of one ray.
         order = np.lexsort((z, y, x, *keys[::-1]))
     return scan if np.array_equal(order, np.arange(len(scan))) else subset(scan, order)
 
 
-@numba.njit(cache=True, nogil=True)
-def _times_in_order(time_ns: IntArray) -> tuple[bool, int]:  # pragma: no cover
-    """Whether firings are in the order of their times, and if so how many times there are."""
-    times = 1
-    for i in range(1, len(time_ns)):
-        if time_ns[i] < time_ns[i - 1]:
-            return False, 0
-        times += time_ns[i] > time_ns[i - 1]
-    return True, times
-
-
-@numba.njit(cache=True, nogil=True)
-def _in_order(first: IntArray, second: FloatArray | IntArray) -> bool:  # pragma: no cover
-    """Whether rows increase by their first key, and by the second where the first is the same; none twice."""
-    for i in range(1, len(first)):
-        if first[i] < first[i - 1] or (first[i] == first[i - 1] and second[i] <= second[i - 1]):
-            return False
-    return True
-
-
 def subset(scan: Scan, rows: BoolArray | IntArray) -> Scan:
-    """Some of the returns, or all of them in another order."""
+    """Select returns by a mask or by rows, which may also reorder them."""
     return replace(
         scan,
         points_sensor=scan.points_sensor[rows],

@@ -1,4 +1,4 @@
-"""Upright faces seen from above: places along and before them, where rays cross them; and runs of flags along them."""
+"""Upright faces seen from above: positions along and before them, ray crossings, runs of flags."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,8 +25,8 @@ class Faces(Protocol):
 class Segment:
     """One face.
 
-    start: (2,) x and y of its first end. along, normal: (2,) unit vectors, towards its other end and to the side that it is
-    seen from. length_m: how long it is.
+    start: (2,) x and y of its first end. along, normal: (2,) unit vectors, towards the other end
+    and to the side that it is seen from. length_m: its length.
     """
 
     start: FloatArray
@@ -36,30 +36,31 @@ class Segment:
 
     @classmethod
     def between(cls, ends: FloatArray, normal: FloatArray | None = None) -> "Segment":
-        """From its ends (2, 2) and its normal (2,), which is to the left where none is given."""
+        """From its ends (2, 2) and its normal (2,), by default to the left."""
         length_m = float(np.linalg.norm(ends[1] - ends[0]))
         along = (ends[1] - ends[0]) / max(length_m, 1e-9)
-        return cls(ends[0], along, np.array([-along[1], along[0]]) if normal is None else normal, length_m)
+        normal = np.array([-along[1], along[0]]) if normal is None else normal
+        return cls(ends[0], along, normal, length_m)
 
     def place_m(self, points: FloatArray) -> FloatArray:
-        """(…,) how far along it points (…, 2 or 3) lie from its first end."""
+        """(…,) positions of points (…, 2 or 3) along the face, from its first end."""
         return np.asarray((points[..., :2] - self.start) @ self.along)
 
     def before_m(self, points: FloatArray) -> FloatArray:
-        """(…,) how far before it points (…, 2 or 3) lie; negative behind."""
+        """(…,) signed distances of points (…, 2 or 3) before the face; negative behind."""
         return np.asarray((points[..., :2] - self.start) @ self.normal)
 
     def at(self, place_m: FloatArray) -> FloatArray:
-        """(k, 2) the points on it at these distances (k,) from its first end."""
+        """(k, 2) the points at these positions (k,) along the face."""
         return np.asarray(self.start + place_m[:, None] * self.along)
 
     def beside(self, points: FloatArray, margin_m: float = 0.0) -> BoolArray:
-        """(…,) whether points lie between its ends, or at most `margin_m` beyond them."""
+        """(…,) whether points project between the ends, or at most `margin_m` beyond them."""
         place_m = self.place_m(points)
         return np.asarray((place_m > -margin_m) & (place_m < self.length_m + margin_m))
 
     def shared_m(self, ends: FloatArray) -> float:
-        """The length over which another face with these ends (2, 2) lies beside it; negative where they do not meet."""
+        """Overlap with the projection of a face with these ends (2, 2); negative: a distance."""
         low, high = np.sort(self.place_m(ends))
         return float(min(high, self.length_m) - max(low, 0.0))
 
@@ -69,45 +70,54 @@ ALONG_X, ALONG_Y, START, NORMAL_X, NORMAL_Y, OFFSET, LENGTH = range(7)
 
 
 def lines_of(faces: Faces) -> FloatArray:
-    """(k, 7) for compiled code: direction, place of the first end along it, normal, offset along that, and length."""
+    """(k, 7) for compiled code: direction, first end along it, normal, offset along it, length."""
     length = lengths_m(faces.ends)[:, None]
     along = (faces.ends[:, 1] - faces.ends[:, 0]) / np.maximum(length, 1e-9)
-    start, offset = (np.sum(axis * faces.ends[:, 0], axis=1, keepdims=True) for axis in (along, faces.normal))
-    return np.ascontiguousarray(np.concatenate([along, start, faces.normal, offset, length], axis=1), np.float64)
+    axes = (along, faces.normal)
+    start, offset = (np.sum(axis * faces.ends[:, 0], axis=1, keepdims=True) for axis in axes)
+    columns = np.concatenate([along, start, faces.normal, offset, length], axis=1)
+    return np.ascontiguousarray(columns, np.float64)
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
 def before_line(lines: FloatArray, k: int, x: float, y: float) -> float:  # pragma: no cover
-    """How far before the k-th face a place is, metres; negative behind it."""
+    """Signed distance (m) of a point before the k-th face; negative behind it."""
     return float(lines[k, NORMAL_X] * x + lines[k, NORMAL_Y] * y - lines[k, OFFSET])
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
 def along_line(lines: FloatArray, k: int, x: float, y: float) -> float:  # pragma: no cover
-    """How far along the k-th face from its first end a place is, metres."""
+    """Position (m) of a point along the k-th face, from its first end."""
     return float(lines[k, ALONG_X] * x + lines[k, ALONG_Y] * y - lines[k, START])
 
 
 def along_lines_m(lines: FloatArray, places: FloatArray) -> FloatArray:
-    """(n,) the same of n places (n, 2), each along its own face (n, 7)."""
+    """(n,) the same of points (n, 2), each along its own face (n, 7)."""
     return np.asarray((lines[:, [ALONG_X, ALONG_Y]] * places).sum(axis=1) - lines[:, START])
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
 def crossing(
-    lines: FloatArray, k: int, behind_m: float, x: float, y: float, origin: FloatArray, grazing_sine: float
+    lines: FloatArray,
+    k: int,
+    behind_m: float,
+    x: float,
+    y: float,
+    origin: FloatArray,
+    grazing_sine: float,
 ) -> tuple[float, float]:  # pragma: no cover
-    """Where a ray crosses the k-th face, or the plane `behind_m` behind it: the share of the ray's length, the place along it.
+    """Intersect a ray from origin to (x, y) with the k-th face moved back by `behind_m`.
 
-    x, y: the ray's end. NaN where the ray does not come from before the face, or meets it at an angle of a smaller sine than
-    `grazing_sine`, so that the crossing says nothing.
+    Returns the share of the ray's length, and the position along the face. NaN where the ray does
+    not come from before the face, or meets it at an angle with a smaller sine than `grazing_sine`.
     """
     before = before_line(lines, k, origin[0], origin[1]) + behind_m
     approach = before - (before_line(lines, k, x, y) + behind_m)
-    if before <= 0.0 or approach <= 0.0 or approach < grazing_sine * np.hypot(x - origin[0], y - origin[1]):
+    dx, dy = x - origin[0], y - origin[1]
+    if before <= 0.0 or approach <= 0.0 or approach < grazing_sine * np.hypot(dx, dy):
         return np.nan, np.nan
     share = before / approach
-    return share, along_line(lines, k, origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1]))
+    return share, along_line(lines, k, origin[0] + share * dx, origin[1] + share * dy)
 
 
 def lengthened(ends: FloatArray, by_m: float) -> FloatArray:
@@ -118,20 +128,20 @@ def lengthened(ends: FloatArray, by_m: float) -> FloatArray:
 
 
 def moved(ends: FloatArray, normal: FloatArray, by_m: FloatArray) -> FloatArray:
-    """(k, 2, 2) the same lines, each `by_m` (k,) farther towards where its normal (k, 2) points."""
+    """(k, 2, 2) the same lines, each moved by `by_m` (k,) along its normal (k, 2)."""
     return np.asarray(ends + (by_m[:, None] * normal)[:, None])
 
 
 def lengths_m(ends: FloatArray) -> FloatArray:
-    """(k,) how long faces, sills or other lines with these ends (k, 2, 2) are."""
+    """(k,) lengths of lines (k, 2, 2)."""
     return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
 
 
 def main_direction_deg(ends: FloatArray) -> float:
-    """The angle of most lines with the x axis, in [-45, 45): turned back by it, a drawing is square to them.
+    """The commonest angle of lines (k, 2, 2) with the x axis, in [-45, 45); 0 without lines.
 
-    ends: (k, 2, 2). Lines at right angles count as one direction, each by its length. The commonest direction, not the
-    mean: a wing at another angle does not turn it. 0 where there is no line.
+    Lines at right angles count as one direction, each by its length. The mode and not the mean: a
+    wing at another angle does not turn it.
     """
     along = ends[:, 1] - ends[:, 0]
     length_m = lengths_m(ends)
@@ -141,7 +151,8 @@ def main_direction_deg(ends: FloatArray) -> float:
     angle_deg = np.degrees(np.arctan2(along[:, 1], along[:, 0])) % 90.0
     bins = round(90.0 / bin_deg)
     count = np.bincount((angle_deg / bin_deg).astype(int) % bins, length_m, bins)
-    peak_deg = (int(np.argmax(gaussian_filter1d(count, sigma_deg / bin_deg, mode="wrap"))) + 0.5) * bin_deg
+    smooth = gaussian_filter1d(count, sigma_deg / bin_deg, mode="wrap")
+    peak_deg = (int(np.argmax(smooth)) + 0.5) * bin_deg
     askew_deg = (angle_deg - peak_deg + 45.0) % 90.0 - 45.0
     near = np.abs(askew_deg) < askew_max_deg
     direction_deg = peak_deg + float(np.average(askew_deg[near], weights=length_m[near]))
@@ -149,7 +160,7 @@ def main_direction_deg(ends: FloatArray) -> float:
 
 
 def turned(places: FloatArray, by_deg: float) -> FloatArray:
-    """Places or directions (…, 2), turned about the origin, counter-clockwise."""
+    """Rotate points or directions (…, 2) about the origin, counter-clockwise."""
     c, s = np.cos(np.radians(by_deg)), np.sin(np.radians(by_deg))
     return np.asarray(places @ np.array([[c, s], [-s, c]]))
 
@@ -160,13 +171,13 @@ def segment(faces: Faces, k: int | np.intp) -> Segment:
 
 
 def segments(faces: Faces) -> Iterator[Segment]:
-    """Each of the faces by itself."""
+    """Iterate over the faces."""
     for ends, normal in zip(faces.ends, faces.normal, strict=True):
         yield Segment.between(ends, normal)
 
 
 def stretches(flags: BoolArray, bridge: int = 0) -> list[tuple[int, int]]:
-    """First and last index, inclusive, of the runs of True; gaps of at most `bridge` are bridged."""
+    """First and last index, inclusive, of the runs of True; gaps of up to `bridge` are bridged."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     runs: list[tuple[int, int]] = []
     for first, after in edges.reshape(-1, 2).tolist():

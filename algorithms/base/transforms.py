@@ -1,4 +1,7 @@
-"""Rigid transforms as (4, 4) float64 matrices, named T_target_source: p_target = T_target_source @ p_source."""
+"""Rigid transforms as (4, 4) float64 matrices, named T_target_source.
+
+p_target = T_target_source @ p_source.
+"""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -7,12 +10,14 @@ from ffmap.algorithms.base.scan import FloatArray
 
 
 def rotation_of(T: FloatArray) -> Rotation:
-    """The rotations of rigid transforms (..., 4, 4) or (..., 3, 3), which are not checked: that takes ten times as long."""
+    """The rotations of rigid transforms (..., 4, 4); unchecked, which is ten times as fast."""
     return Rotation.from_matrix(T[..., :3, :3], assume_valid=True)
 
 
-def make_transform(rotation: Rotation | None = None, translation: FloatArray | list[float] | None = None) -> FloatArray:
-    """T_target_source (4, 4) from its rotation and its translation in metres; what is left out is the identity's."""
+def make_transform(
+    rotation: Rotation | None = None, translation: FloatArray | list[float] | None = None
+) -> FloatArray:
+    """T_target_source (4, 4) from a rotation and a translation in metres; default: identity."""
     T = np.eye(4)
     if rotation is not None:
         T[:3, :3] = rotation.as_matrix()
@@ -21,13 +26,15 @@ def make_transform(rotation: Rotation | None = None, translation: FloatArray | l
     return T
 
 
-def from_quaternion(translation: FloatArray | list[float], quaternion_xyzw: FloatArray | list[float]) -> FloatArray:
-    """T_target_source (4, 4) from ROS's order: translation x y z in metres, quaternion x y z w."""
+def from_quaternion(
+    translation: FloatArray | list[float], quaternion_xyzw: FloatArray | list[float]
+) -> FloatArray:
+    """T_target_source (4, 4) from ROS's x y z in metres and quaternion x y z w."""
     return make_transform(Rotation.from_quat(quaternion_xyzw), translation)
 
 
 def invert(T_target_source: FloatArray) -> FloatArray:
-    """T_source_target; works on a stack (..., 4, 4) too."""
+    """T_source_target (..., 4, 4)."""
     R = np.swapaxes(T_target_source[..., :3, :3], -1, -2)
     T = np.zeros_like(T_target_source)
     T[..., :3, :3] = R
@@ -54,21 +61,22 @@ def yaw_of(T_target_source: FloatArray) -> float:
 
 
 def from_yaw(yaw_rad: float, translation: FloatArray | list[float]) -> FloatArray:
-    """T_target_source (4, 4) that turns about z only."""
+    """T_target_source (4, 4) with a rotation about z only."""
     return make_transform(Rotation.from_euler("z", yaw_rad), translation)
 
 
 def interpolated(T_before: FloatArray, T_after: FloatArray, fraction: FloatArray) -> FloatArray:
-    """Poses (n, 4, 4) a fraction (n,) of the way from one to another: positions linearly, rotations by slerp."""
+    """Poses (n, 4, 4) at a fraction (n,) between two: positions linearly, rotations by slerp."""
     turn = rotation_of(np.swapaxes(T_before[:, :3, :3], 1, 2) @ T_after[:, :3, :3]).as_rotvec()
+    turned = Rotation.from_rotvec(fraction[:, None] * turn).as_matrix()
     T = T_before.copy()
-    T[:, :3, :3] = T_before[:, :3, :3] @ Rotation.from_rotvec(fraction[:, None] * turn).as_matrix()
+    T[:, :3, :3] = T_before[:, :3, :3] @ turned
     T[:, :3, 3] += fraction[:, None] * (T_after[:, :3, 3] - T_before[:, :3, 3])
     return T
 
 
 def orthonormal(T: FloatArray) -> FloatArray:
-    """The transform (4, 4) whose rotation is the nearest one to T's."""
+    """T (4, 4) with the nearest rotation to its linear part."""
     U, _, Vt = np.linalg.svd(T[:3, :3])
     nearest = T.copy()
     nearest[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
@@ -76,7 +84,7 @@ def orthonormal(T: FloatArray) -> FloatArray:
 
 
 def to_twist(T: FloatArray) -> FloatArray:
-    """(6,): rotation vector and translation of T."""
+    """(6,): rotation vector and translation."""
     return np.concatenate([rotation_of(T).as_rotvec(), T[:3, 3]])
 
 

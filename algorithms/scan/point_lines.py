@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from ffmap.algorithms.base.rings import sort_by_angle
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, sort_groups
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 
 SAMPLES = 200
@@ -66,7 +65,7 @@ def make_point_lines(
             scan.points_sensor, scan.ring, scan.ring_count, rings.turn_rad, rings.rank, down_sensor, column_pairs
         )
         left_out = is_horizontal | ~in_middle
-        order, starts = sort_by_angle(line, height, 2 * column_pairs)
+        order, starts = sort_groups(line, height, 2 * column_pairs)
     else:
         across = float(np.hypot(down_sensor[0], down_sensor[1]))
         if across < np.sin(np.radians(_LEANING_MIN_DEG)):

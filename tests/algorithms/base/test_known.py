@@ -1,4 +1,4 @@
-"""Means and medians of what is known."""
+"""Means and medians of finite values."""
 
 import numpy as np
 import pytest
@@ -6,17 +6,21 @@ import pytest
 from ffmap.algorithms.base.known import mean_known, median_known, row_means, row_medians
 
 NAN = float("nan")
-ROWS = np.array([[1.0, 2.0, 9.0, 4.0], [5.0, NAN, NAN, NAN], [1.0, 3.0, NAN, NAN], [NAN, NAN, NAN, NAN]])
+ROWS = np.array(
+    [[1.0, 2.0, 9.0, 4.0], [5.0, NAN, NAN, NAN], [1.0, 3.0, NAN, NAN], [NAN, NAN, NAN, NAN]]
+)
 
 
-@pytest.mark.parametrize(("known_min", "rows"), [(0.0, 3), (0.25, 3), (0.3, [True, False, True]), (0.6, 1), (1.0, 1)])
-def test_rows_of_which_too_little_is_known_are_unknown(known_min: float, rows: int | list[bool]) -> None:
-    known = np.array([*rows, False]) if isinstance(rows, list) else np.arange(4) < rows
+@pytest.mark.parametrize(
+    ("known_min", "rows"), [(0.0, [0, 1, 2]), (0.25, [0, 1, 2]), (0.3, [0, 2]), (0.6, [0])]
+)
+def test_rows_with_too_few_finite_values_are_nan(known_min: float, rows: list[int]) -> None:
+    known = np.isin(np.arange(4), rows)
     for of, expected in ((row_means, [4.0, 5.0, 2.0, NAN]), (row_medians, [3.0, 5.0, 2.0, NAN])):
         np.testing.assert_array_equal(of(ROWS, known_min), np.where(known, expected, NAN))
 
 
-def test_only_known_values_count() -> None:
+def test_only_finite_values_count() -> None:
     assert (mean_known(ROWS[2]), median_known(ROWS[0])) == (2.0, 3.0)
     assert np.isnan([mean_known(ROWS[3]), median_known(ROWS[3]), mean_known(np.zeros(0))]).all()
     assert row_means(np.zeros((0, 4))).shape == (0,)

@@ -1,4 +1,4 @@
-"""The robot's own body in its lidar's clouds: found where it moves, and nothing but it."""
+"""The robot's own body in its lidar's clouds."""
 
 from functools import lru_cache
 
@@ -13,7 +13,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 CLOUDS = 24
 # On its side, looking to the left and right, 0.7 m above the floor.
 T_BASE_SENSOR = transforms.make_transform(
-    Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])), [0.3, 0.0, 0.7]
+    Rotation.from_euler("y", 90, degrees=True), [0.3, 0.0, 0.7]
 )
 ACROSS, AHEAD = (0.25, 0.1), (0.25, 0.0)  # metres along x and y from cloud to cloud
 Box = tuple[tuple[float, ...], tuple[float, ...]]
@@ -40,17 +40,22 @@ def hits(origin: FloatArray, rays: FloatArray, box: Box) -> tuple[FloatArray, Fl
 
 @lru_cache
 def clouds(
-    room: Box, step_m: tuple[float, float], body: str | None = None, things: tuple[Box, ...] = CUPBOARDS
+    room: Box,
+    step_m: tuple[float, float],
+    body: str | None = None,
+    things: tuple[Box, ...] = CUPBOARDS,
 ) -> tuple[list[FloatArray], list[BoolArray]]:
-    """Clouds (n, 3) of 16 emitters with 1 cm of noise, a step apart, and which returns are of the body."""
+    """Clouds (n, 3) of 16 emitters with 1 cm of noise, a step apart, and which returns are own."""
     generator = np.random.default_rng(1)
     points, own = [], []
     for i in range(CLOUDS):
         azimuth, elevation = np.meshgrid(
-            np.arange(0, 2 * np.pi, np.radians(0.4)) + generator.uniform(0, 0.01), np.radians(np.arange(-15, 16, 2))
+            np.arange(0, 2 * np.pi, np.radians(0.4)) + generator.uniform(0, 0.01),
+            np.radians(np.arange(-15, 16, 2)),
         )
+        level = np.cos(elevation)
         rays_sensor = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+            [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=-1
         ).reshape(-1, 3)
         rays, origin_base = rays_sensor @ T_BASE_SENSOR[:3, :3].T, T_BASE_SENSOR[:3, 3]
         origin_map = origin_base + (i * np.array([*step_m, 0.0]) - [0.0, 11.5 * step_m[1], 0.0])
@@ -70,30 +75,36 @@ def clouds(
 
 
 @pytest.mark.parametrize("body", BODIES)
-def test_what_stays_in_one_place_of_a_robot_that_moves_is_its_body(body: str) -> None:
+def test_the_body_of_a_moving_robot_is_found(body: str) -> None:
     points, own = clouds(ROOM, ACROSS, body)
     assert moves(points)
     found = find_own_body(points, T_BASE_SENSOR)
     assert found is not None
-    held, true = np.concatenate([found.holds(cloud) for cloud in points]), np.concatenate(own)
-    # What of it is as low as the floor is held below its upper part alone.
-    z_base = np.concatenate([transforms.apply(T_BASE_SENSOR, cloud)[:, 2] for cloud in points])
-    assert np.mean(held[true & (z_base > 0.15)]) > 0.99
+    held = np.concatenate([found.holds(cloud) for cloud in points])
+    true = np.concatenate(own)
+    # At the height of the floor, the body is found below its upper part only.
+    points_base = np.concatenate([transforms.apply(T_BASE_SENSOR, cloud) for cloud in points])
+    assert np.mean(held[true & (points_base[:, 2] > 0.15)]) > 0.99
     assert np.mean(held[~true]) < 0.03
     assert found.share == pytest.approx(np.mean(held), abs=1e-3)
-    low, high = BODIES[body]
-    points_base = transforms.apply(T_BASE_SENSOR, found.points_sensor)[:, :2]
-    assert np.all(points_base > np.array(low)[:2] - 0.15)
-    assert np.all(points_base < np.array(high)[:2] + 0.15)
+    low, high = np.array(BODIES[body])[:, :2]
+    voxels_base = transforms.apply(T_BASE_SENSOR, found.points_sensor)[:, :2]
+    assert np.all((voxels_base > low - 0.15) & (voxels_base < high + 0.15))
 
 
-@pytest.mark.parametrize(("room", "step_m"), [(ROOM, ACROSS), (ROOM, AHEAD), (CORRIDOR, AHEAD)])
-def test_floor_walls_and_what_is_passed_are_no_body(room: Box, step_m: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("room", "step_m"), [(ROOM, ACROSS), (ROOM, AHEAD), (CORRIDOR, AHEAD)]
+)
+def test_floor_walls_and_furniture_are_no_body(room: Box, step_m: tuple[float, float]) -> None:
     assert find_own_body(clouds(room, step_m)[0], T_BASE_SENSOR) is None
     assert find_own_body(clouds(room, step_m, things=())[0], T_BASE_SENSOR) is None
 
 
-@pytest.mark.parametrize(("room", "step_m"), [(ROOM, (0.0, 0.0)), (ROOM, (0.02, 0.01)), (CORRIDOR, AHEAD)])
-def test_a_robot_that_stands_or_sees_the_same_all_along_shows_no_body(room: Box, step_m: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("room", "step_m"), [(ROOM, (0.0, 0.0)), (ROOM, (0.02, 0.01)), (CORRIDOR, AHEAD)]
+)
+def test_at_rest_or_in_a_bare_corridor_nothing_moves(
+    room: Box, step_m: tuple[float, float]
+) -> None:
     assert not moves(clouds(room, step_m, things=())[0])
     assert not moves(clouds(ROOM, ACROSS)[0][:5])

@@ -1,4 +1,4 @@
-"""What a sensor saw while it moved, as one that stood still would have seen it: on the walls of the corridor, and labelled."""
+"""Motion compensation of a scan in the corridor of tests/corridor.py."""
 
 from dataclasses import replace
 
@@ -22,33 +22,32 @@ EDGES_DEG = np.linspace(-45, 45, 128)[1:] - 45 / 127
 def drive() -> Trajectory:
     """Half a second at 1 m/s with a turn of 20 degrees."""
     stamps = np.arange(PARTS + 1) * PART_NS
-    poses = [transforms.from_yaw(np.radians(40) * s / 1e9, [s / 1e9 - 0.25, 0.0, 0.0]) for s in stamps.tolist()]
+    seconds = (stamps / 1e9).tolist()
+    poses = [transforms.from_yaw(np.radians(40) * s, [s - 0.25, 0.0, 0.0]) for s in seconds]
     return Trajectory(stamps, np.stack(poses))
 
 
 def moving(noise_m: float) -> tuple[Scan, np.ndarray]:
-    """Rays of all elevations, each part of them from where the sensor is then; and the true labels."""
+    """Rays of all elevations, each part from the pose of its time; and the true labels."""
     rng, trajectory, parts, truths = np.random.default_rng(3), drive(), [], []
     for k in range(PARTS):
         T = trajectory.at(np.array([k * PART_NS]))[0] @ T_BASE_SENSOR
-        scan, truth = cast(T, None, noise_m, k, emitters_deg=np.sort(rng.uniform(-45, 45, 8)), firings=500)
+        emitters_deg = np.sort(rng.uniform(-45, 45, 8))
+        scan, truth = cast(T, None, noise_m, k, emitters_deg=emitters_deg, firings=500)
         parts.append(scan.points_sensor)
         truths.append(truth)
-    count = [len(part) for part in parts]
     points = np.concatenate(parts)
-    return (
-        Scan(
-            points_sensor=points,
-            ring=np.zeros(len(points), np.uint16),
-            ring_count=len(EDGES_DEG) + 1,
-            time_ns=np.repeat(np.arange(PARTS) * PART_NS, count),
-            start_ns=0,
-            stamp_ns=0,
-            cloud_index=np.arange(len(points), dtype=np.int32),
-            cloud_size=len(points),
-        ),
-        np.concatenate(truths),
+    swept = Scan(
+        points_sensor=points,
+        ring=np.zeros(len(points), np.uint16),
+        ring_count=len(EDGES_DEG) + 1,
+        time_ns=np.repeat(np.arange(PARTS) * PART_NS, [len(part) for part in parts]),
+        start_ns=0,
+        stamp_ns=0,
+        cloud_index=np.arange(len(points), dtype=np.int32),
+        cloud_size=len(points),
     )
+    return swept, np.concatenate(truths)
 
 
 def at_once(scan: Scan) -> Scan:
@@ -56,46 +55,42 @@ def at_once(scan: Scan) -> Scan:
 
 
 def off_walls_m(points_map: np.ndarray) -> np.ndarray:
-    """Distance (n,) of points from the nearest surface of the corridor."""
+    """(n,) distances to the nearest surface of the corridor."""
     x, y, z = points_map.T
     return np.min(np.abs([x + 4, x - 6, y + 1.5, y - 2, z, z - 2.8]), axis=0)
 
 
-def test_it_lies_where_the_moving_one_lies() -> None:
+def test_returns_are_at_the_same_places_as_with_their_times() -> None:
     scan, _ = moving(0.0)
     still = at_once(scan)
     assert still.time_ns is None
     assert still.start_ns == still.end_ns == still.reference_ns == scan.reference_ns
+    assert at_once(still) is still
     np.testing.assert_array_equal(still.cloud_index, scan.cloud_index)
-    swept, placed = (place_scan(one, drive(), T_BASE_SENSOR) for one in (scan, still))
+    swept, placed = (place_scan(s, drive(), T_BASE_SENSOR) for s in (scan, still))
     np.testing.assert_allclose(placed.points_level, swept.points_level, atol=2e-4)
     np.testing.assert_allclose(placed.T_map_base, swept.T_map_base, atol=1e-12)
     assert off_walls_m(placed.to_map(placed.points_level)).max() < 2e-3
-    # Without it, the corridor is smeared.
-    smeared = place_scan(replace(scan, time_ns=None, start_ns=scan.reference_ns), drive(), T_BASE_SENSOR)
+    x, y, z = still.points_sensor.T.astype(float)
+    elevation_deg = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    np.testing.assert_array_equal(still.ring, np.searchsorted(EDGES_DEG, elevation_deg))
+    # Without compensation the corridor is smeared.
+    untimed = replace(scan, time_ns=None, start_ns=scan.reference_ns)
+    smeared = place_scan(untimed, drive(), T_BASE_SENSOR)
     assert np.percentile(off_walls_m(smeared.to_map(smeared.points_level)), 75) > 0.05
 
 
-def test_rings_are_the_slices_that_are_seen_from_there() -> None:
-    still = at_once(moving(0.0)[0])
-    x, y, z = still.points_sensor.T.astype(float)
-    np.testing.assert_array_equal(still.ring, np.searchsorted(EDGES_DEG, np.degrees(np.arctan2(z, np.hypot(x, y)))))
-
-
-def test_a_scan_without_times_stays() -> None:
-    scan = replace(moving(0.0)[0], time_ns=None)
-    assert at_once(scan) is scan
-
-
-def test_it_is_smoothed_and_labelled() -> None:
+def test_a_compensated_scan_is_smoothed_and_labelled() -> None:
     scan, truth = moving(0.02)
     still = at_once(scan)
     ranges = smooth_ranges(still, SmoothingSettings())
     placed = place_scan(ranges.of(still), drive(), T_BASE_SENSOR)
     raw = place_scan(still, drive(), T_BASE_SENSOR)
     wall = truth == Label.WALL
-    before, after = (np.median(off_walls_m(one.to_map(one.points_level))[wall]) for one in (raw, placed))
+    before, after = (
+        np.median(off_walls_m(p.to_map(p.points_level))[wall]) for p in (raw, placed)
+    )
     assert after < 0.6 * before
     found = label_scan(still, placed, METHOD, 1, column_pairs=COLUMN_PAIRS)
     for code in (Label.FLOOR, Label.CEILING, Label.WALL):
-        assert share(found.label, truth, code) == (pytest.approx(1.0, abs=0.03), pytest.approx(1.0, abs=0.03))
+        assert share(found.label, truth, code) == pytest.approx((1.0, 1.0), abs=0.03)

@@ -8,7 +8,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.trajectory import Trajectory, gaps
 
 
-def test_poses_between_stamps_are_scipys() -> None:
+def test_interpolation_agrees_with_scipy() -> None:
     generator = np.random.default_rng(0)
     turns = Rotation.from_rotvec(np.cumsum(generator.normal(0, 0.1, (8, 3)), axis=0))
     T = np.stack([transforms.make_transform(r, [i, 2 * i, 0]) for i, r in enumerate(turns)])
@@ -23,9 +23,10 @@ def test_poses_between_stamps_are_scipys() -> None:
         Trajectory(stamps[::-1], T)
 
 
-def test_nothing_is_known_within_a_gap_and_beside_it_the_motion_is_carried_on() -> None:
+def test_within_a_gap_the_motion_is_unknown_and_extrapolated_from_either_side() -> None:
     times = np.array([0, 1, 2, 12, 13, 14]) * 100_000_000
-    T = np.stack([transforms.make_transform(None, [x, 0.0, 0.0]) for x in (0.0, 1.0, 2.0, 20.0, 19.0, 18.0)])
+    places = (0.0, 1.0, 2.0, 20.0, 19.0, 18.0)
+    T = np.stack([transforms.make_transform(None, [x, 0.0, 0.0]) for x in places])
     assert gaps(times).tolist() == [2]
     asked = np.array([150, 250, 320, 330, 700, 1080, 1180, 1250]) * 1_000_000
     whole, parted = Trajectory(times, T), Trajectory(times, T, gap_ns=250_000_000)
@@ -33,5 +34,6 @@ def test_nothing_is_known_within_a_gap_and_beside_it_the_motion_is_carried_on() 
     within = [True, True, True, False, False, True, True, True]
     for trajectory in (parted, parted.moved(np.eye(4)), parted.part(1, 6)):
         assert trajectory.covers(asked, 300_000_000).tolist() == within
-    np.testing.assert_allclose(parted.at(asked)[:, 0, 3], [1.5, 2.5, 3.2, 3.3, 7.0, 21.2, 20.2, 19.5], atol=1e-6)
+    expected = [1.5, 2.5, 3.2, 3.3, 7.0, 21.2, 20.2, 19.5]
+    np.testing.assert_allclose(parted.at(asked)[:, 0, 3], expected, atol=1e-6)
     assert parted.covers(asked, -50_000_000).tolist() == [True] + [False] * 6 + [True]
