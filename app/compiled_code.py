@@ -17,13 +17,7 @@ from ffmap.app.user_cache import user_cache
 
 VARIABLE = "NUMBA_CACHE_DIR"
 """Numba's environment variable; a folder that the user has set counts."""
-SOURCES = (
-    "algorithms",
-    "loaders/firing_times.py",
-    "loaders/pointcloud2.py",
-    "loaders/rings.py",
-    "loaders/sqlite_wal.py",
-)
+SOURCES = ("algorithms",)
 """Folders and files that hold compiled functions and what these use."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]

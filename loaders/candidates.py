@@ -10,12 +10,14 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.loaders.bag import Bag
+from ffmap.loaders.cloud_checks import check_one_lidar
+from ffmap.loaders.cloud_index import index_clouds
+from ffmap.loaders.decoding import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import read_frame_tree
-from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.rig_file import Role
 from ffmap.loaders.rings import on_rings
-from ffmap.loaders.scans import check_one_lidar, index_clouds, sample_messages
+from ffmap.loaders.scans import sample_messages
 
 UPRIGHT_DEG = 45.0
 _SAMPLES = 8

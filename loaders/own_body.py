@@ -8,8 +8,8 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.own_body import find_own_body, moves
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders.bag import Bag
+from ffmap.loaders.decoding import decode
 from ffmap.loaders.errors import CloudError
-from ffmap.loaders.pointcloud2 import decode
 from ffmap.loaders.rig import Lidar, Rig
 from ffmap.loaders.scans import sample_messages
 

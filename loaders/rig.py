@@ -28,12 +28,12 @@ from ffmap.loaders.candidates import (
     tilt_deg_of,
     without_cameras,
 )
+from ffmap.loaders.cloud_index import CloudIndex, index_clouds
+from ffmap.loaders.decoding import CloudDecoding, TimeFrom
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import FrameTree, StaticTransform, read_frame_tree
-from ffmap.loaders.pointcloud2 import CloudDecoding, TimeFrom
 from ffmap.loaders.rig_file import RigEntry, RigFile, Role, built_in_rigs, read_rig_file
-from ffmap.loaders.scans import CloudIndex, cloud_hint, cloud_topics, index_clouds
-from ffmap.loaders.sensors import CLOUDS_WANTED, sensor_of, unread_topics
+from ffmap.loaders.sensors import CLOUDS_WANTED, cloud_hint, cloud_topics, sensor_of, unread_topics
 from ffmap.loaders.which_way_up import LidarView, find_upright_base
 
 _OPENING_MIN_DEG = 55.0  # A column of less shows floor and ceiling together only where a wall is far away

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from ffmap.algorithms.base.scan import IntArray
-from ffmap.loaders.scans import CloudIndex
+from ffmap.loaders.cloud_index import CloudIndex
 
 T = TypeVar("T")
 

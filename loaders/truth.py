@@ -19,11 +19,11 @@ from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
+from ffmap.loaders.cloud_index import read_headers
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import check_features
 from ffmap.loaders.numbered import all_numbered
-from ffmap.loaders.pointcloud2 import describe_layout, field_column, stamp_ns
-from ffmap.loaders.scans import read_headers
+from ffmap.loaders.pointcloud2 import describe_layout, points_of, stamp_ns
 from ffmap.loaders.trajectory_file import read_pose_topic
 
 POSE_TOPIC = "/truth/pose"
@@ -92,7 +92,7 @@ class TruthClasses:
         for raw in self._bag.messages([self.topic], start_ns, stop_ns):
             message = self._bag.deserialize(raw)
             layout = describe_layout(message, self.topic, needed=("truth",))
-            yield stamp_ns(message), field_column(message, layout, "truth").astype(np.uint8)
+            yield stamp_ns(message), points_of(message, layout)["truth"].astype(np.uint8)
 
 
 def carries_truth(path: BagPath | Path) -> bool:

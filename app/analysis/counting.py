@@ -18,10 +18,11 @@ from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.run.workers import make_pool
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
+from ffmap.loaders.cloud_index import CloudIndex
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.rig import Lidar
 from ffmap.loaders.scan_order import ScanOrder
-from ffmap.loaders.scans import CloudIndex, SkippedScan, read_scans
+from ffmap.loaders.scans import SkippedScan, read_scans
 from ffmap.loaders.truth import TruthClasses
 
 CLOUDS_A_SHARE = 100

@@ -66,7 +66,7 @@ def _describe_cloud(cloud: CloudInfo) -> list[str]:
         f"frame: {layout.frame_id or 'none'}",
         f"clouds: {len(index)}" + (f" at {1e9 / index.period_ns:.2f} Hz" if index.period_ns else ""),
         f"points: {valid} valid of {places} (medians of several clouds); the first has {layout.height} x {layout.width}, "
-        f"{'organised' if layout.height > 1 else 'unorganised'}, {layout.point_step} bytes each",
+        f"{'organised' if layout.height > 1 else 'unorganised'}, {layout.point.itemsize} bytes each",
         f"fields: {' '.join(layout.point.names or ()) or 'none'}",
         f"rings: {ring_words(cloud.decoding)}",
         f"times: {time_words(cloud.decoding)}",

@@ -12,12 +12,13 @@ from ffmap.app.folder.names import LABELLED_BAG, LABELLED_FOLDER
 from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.bag_writer import BagWriter
 from ffmap.loaders.cloud_digest import joined
+from ffmap.loaders.cloud_index import CloudIndex
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.pointcloud2 import describe_layout, encode_labelled, stamp_ns
 from ffmap.loaders.rig import Rig
 from ffmap.loaders.scan_order import ScanOrder
-from ffmap.loaders.scans import CloudIndex, read_messages
+from ffmap.loaders.scans import read_messages
 
 _TRANSFORMS = (("/tf_static", "tf2_msgs/msg/TFMessage"), ("/tf", "tf2_msgs/msg/TFMessage"))
 

@@ -18,8 +18,9 @@ from ffmap.app.run.trajectory_frame import find_pose_frame
 from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.cloud_checks import clock_problem
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.scans import clock_problem, read_scans
+from ffmap.loaders.scans import read_scans
 from ffmap.loaders.trajectory_file import read_pose_topic, read_tum
 
 _LEVEL_SCANS = 24

@@ -9,21 +9,15 @@ from ffmap.algorithms.base.scan import Scan
 from ffmap.app.setup.options import RunOptions
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
+from ffmap.loaders.cloud_checks import clock_problem, gap_problem, stamp_problem
 from ffmap.loaders.cloud_digest import joined
+from ffmap.loaders.cloud_index import CloudIndex
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.numbered import numbered
 from ffmap.loaders.own_body import without_own_body
 from ffmap.loaders.rig import Lidar, MountCorrection, Rig, find_rig
 from ffmap.loaders.scan_order import ScanOrder
-from ffmap.loaders.scans import (
-    CloudIndex,
-    SkippedScan,
-    clock_problem,
-    gap_problem,
-    read_digests,
-    read_scans,
-    stamp_problem,
-)
+from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
 
 _FAILED_SHARE_MAX = 0.2
 """Share of the scans that may fail: a few damaged clouds do not matter, and of more the bag or what is said of it is wrong."""

@@ -14,19 +14,33 @@ for _module in iter_modules(__path__):
 SENSORS = tuple(kind() for kind in Sensor.__subclasses__())
 *_MOST, _LAST = sorted(sensor.messages for sensor in SENSORS if sensor.messages)
 CLOUDS_WANTED = f"{', '.join(_MOST)} or {_LAST}"
-"""What a user records, in words."""
+"""The messages that can be read, for error messages."""
 
 
 def sensor_of(topic: Topic) -> Sensor | None:
-    """Find the sensor whose messages a topic holds; None where they are of no known lidar."""
+    """Find the sensor whose messages a topic contains; None for other messages."""
     return next((sensor for sensor in SENSORS if sensor.matches(topic)), None)
 
 
 def unread_topics(bag: Bag) -> dict[str, str]:
-    """Find topics of lidars that are not read: why not, and what to do, one line each."""
+    """Find topics of lidars that are not read, with the reason and the fix, one line each."""
     reasons = {}
     for topic in bag.topics.values():
         sensor = sensor_of(topic) if topic.count else None
         if sensor and (reason := sensor.unread_reason(bag, topic)):
             reasons[topic.name] = reason
     return reasons
+
+
+def cloud_topics(bag: Bag) -> list[str]:
+    """List topics with clouds or packets of a lidar that are read, without the ground truth."""
+    unread = unread_topics(bag)
+    filled = (t for t in bag.topics.values() if t.count and not t.name.startswith("/truth/"))
+    return [t.name for t in filled if sensor_of(t) and t.name not in unread]
+
+
+def cloud_hint(bag: Bag) -> str:
+    """Make the end of an error message that lists the topics with clouds."""
+    topics = cloud_topics(bag)
+    known = f"the bag's clouds are on: {', '.join(topics)}" if topics else "the bag has no clouds"
+    return "; ".join([known, *unread_topics(bag).values()])

@@ -1,4 +1,4 @@
-"""Containers: what goes in comes out, from any time on, and what is no bag says so in one line."""
+"""Containers: messages come out as they were written; other files give one line."""
 
 import shutil
 from pathlib import Path
@@ -7,7 +7,6 @@ import pytest
 
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.info import describe_bag
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, clouds, odometry, write_bag
 
 COUNT = 7
@@ -66,14 +65,6 @@ def test_heads_are_the_messages_first_bytes(bag_path, size):
             assert list(bag.heads(topic, size)) == whole
 
 
-def test_messages_are_deserialized(bag_path):
-    with open_bag(bag_path) as bag:
-        raw = next(bag.messages(["/a/points"]))
-        message = bag.deserialize(raw)
-        assert message.header.frame_id == "lidar"
-        assert message.width == 90 * 16
-
-
 @pytest.mark.parametrize("name", ["a_db3", "a_mcap"])
 def test_bare_file_and_folder_without_metadata(tmp_path, name):
     folder = write_bag(tmp_path / name, clouds("/a", 3, ros_version=2))
@@ -97,16 +88,6 @@ def test_folder_of_several_files_is_one_bag(tmp_path):
     with open_bag(folder) as bag:
         assert [m.log_time_ns for m in bag.messages(["/a"])] == [entry[1] for entry in entries]
         assert [h[0] for h in bag.heads("/a", 12)] == [entry[1] for entry in entries]
-
-
-def test_files_that_overlap_are_merged(tmp_path):
-    folder = tmp_path / "split"
-    folder.mkdir()
-    for name, topic, late in (("x_1", "/a", 0), ("x_2", "/b", PERIOD_NS // 2)):
-        made = write_bag(tmp_path / f"{name}_db3", clouds(topic, 4, ros_version=2, late_ns=late))
-        shutil.move(made / f"{name}_db3.db3", folder / f"{name}.db3")
-    with open_bag(folder) as bag:
-        assert [m.topic for m in bag.messages(["/a", "/b"])] == ["/a", "/b"] * 4
 
 
 def test_metadata_that_does_not_fit_is_done_without(tmp_path):
@@ -139,7 +120,7 @@ def test_an_mcap_without_profile_is_a_bag_of_ros_2(tmp_path, bare, cut):
         assert len(list(bag.heads("/a", 12))) == 3
         assert len(bag.warnings) == cut * (1 if bare else 2)
     _with_profile(file, b"ros1")
-    with pytest.raises(InputError, match=r"the profile of the MCAP file is ros1, not ros2; give the bag of ROS 1"):
+    with pytest.raises(InputError, match="Profile is not ros2"):
         open_bag(file)
 
 
@@ -195,27 +176,3 @@ def test_damage_in_the_middle_is_an_input_error(tmp_path):
     path.write_bytes(content)
     with pytest.raises(InputError, match="damaged"), open_bag(path) as bag:
         list(bag.messages(["/a"]))
-
-
-@pytest.mark.parametrize("compression", ["", "bz2"])
-@pytest.mark.parametrize(
-    "damaged",
-    [
-        (b"uint32 width", b"uint32 2idth"),
-        (b"uint32 width", b"uint32 class"),
-        (b"uint32 height", b"uint32  width"),
-        (b"bool is_dense", b"bool __init__"),
-        (b"MSG: sensor_msgs/PointField", b"MSG: sensor_msgs/PointCloud"),
-        (b"PointField[] fields", b"PointFxxxx[] fields"),
-    ],
-    ids=lambda damaged: damaged[1].decode(),
-)
-def test_a_damaged_message_definition_is_told_and_the_common_one_taken(tmp_path, damaged, compression):
-    path = write_bag(tmp_path / "a.bag", clouds("/a", 3), compression=compression)
-    # Outside the chunks, which are compressed, the file has every definition again.
-    content = path.read_bytes()
-    assert damaged[0] in content
-    path.write_bytes(content.replace(*damaged))
-    info = describe_bag(path)
-    assert len(info.clouds[0].index) == 3
-    assert info.clouds[0].problem is None

@@ -5,7 +5,8 @@ import pytest
 
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.cloud_digest import DIGEST_BYTES, as_rows, joined
-from ffmap.loaders.scans import index_clouds, read_digests, read_messages
+from ffmap.loaders.cloud_index import index_clouds
+from ffmap.loaders.scans import read_digests, read_messages
 from tests.loaders.bag_builder import START_NS, clouds, tf_message, write_bag
 
 MOUNT = [("base", "a", (0, 0, 1), (0, 0, 0, 1))]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from ffmap.loaders.decoding import decode, settle_decoding
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.firing_times import find_time_field
-from ffmap.loaders.pointcloud2 import decode, settle_decoding
 from tests.loaders.bag_builder import START_NS, cloud, point_dtype, sweep
 
 TRUE_NS = np.arange(1440) // 16 * 1_111_111

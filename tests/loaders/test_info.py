@@ -3,8 +3,8 @@
 import numpy as np
 
 from ffmap.app.commands.info import describe
+from ffmap.loaders.cloud_checks import gap_problem
 from ffmap.loaders.info import describe_bag, ring_words, time_words
-from ffmap.loaders.scans import gap_problem
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, only, sweep, tf_message, write_bag
 
 

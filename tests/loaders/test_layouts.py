@@ -7,11 +7,12 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.cloud_index import index_clouds
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.rig import find_rig
 from ffmap.loaders.rig_file import built_in_path, built_in_rigs, rig_path
-from ffmap.loaders.scans import index_clouds, read_scans
+from ffmap.loaders.scans import read_scans
 from ffmap.loaders.simulator import LAYOUTS, SimulationSettings, simulate
 from ffmap.loaders.truth import read_truth
 from tests.loaders.bag_builder import START_NS, tf_message, write_bag

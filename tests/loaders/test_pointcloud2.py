@@ -10,15 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffmap.algorithms.base.scan import in_canonical_order
+from ffmap.loaders.decoding import decode, settle_decoding
 from ffmap.loaders.errors import CloudError
-from ffmap.loaders.pointcloud2 import (
-    decode,
-    describe_layout,
-    encode_labelled,
-    full_labels,
-    merge_clouds,
-    settle_decoding,
-)
+from ffmap.loaders.pointcloud2 import describe_layout, encode_labelled, full_labels, merge_clouds
 from tests.loaders.bag_builder import START_NS, VELODYNE, cloud, only, point_dtype, sweep
 
 

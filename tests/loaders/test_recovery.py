@@ -1,5 +1,8 @@
-"""Cut bags: every whole message before the cut is read, in order, and nothing else."""
+"""Bags of killed recorders: messages before the cut and in a write-ahead log are read."""
 
+import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +15,8 @@ from ffmap.loaders.errors import InputError
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, clouds, odometry, write_bag
 
 SMALL = {"columns": 4, "elevations_deg": (-3, -1, 1, 3)}
+KINDS = ["ros1 none", "ros1 bz2", "ros1 lz4", "mcap unchunked", "mcap none", "mcap lz4", "mcap zstd"]
+CHUNK_BYTES = 2000
 
 
 def _entries(version: int) -> list:
@@ -19,15 +24,20 @@ def _entries(version: int) -> list:
     entries += clouds("/b", 12, ros_version=version, late_ns=1_000_000, **SMALL)
     for i in range(12):
         log_time_ns = START_NS + i * PERIOD_NS + 2_000_000
-        entries.append(("/odom", log_time_ns, odometry(log_time_ns, [i, 0, 0], ros_version=version)))
+        message = odometry(log_time_ns, [i, 0, 0], ros_version=version)
+        entries.append(("/odom", log_time_ns, message))
     return sorted(entries, key=lambda entry: entry[1])
 
 
-def foreign_mcap(path: Path, entries: list, chunked: bool, compression: CompressionType) -> Path:
-    """As ROS 2's own recorder writes it: checksums, and chunks only if asked for."""
+def foreign_mcap(
+    path: Path, entries: list, chunked: bool, compression: CompressionType
+) -> Path:
+    """Write a bag like ROS 2's own recorder: checksums, and chunks on request."""
     store = make_typestore(2)
     with path.open("wb") as file:
-        writer = McapWriter(file, chunk_size=2000, compression=compression, use_chunking=chunked)
+        writer = McapWriter(
+            file, chunk_size=CHUNK_BYTES, compression=compression, use_chunking=chunked
+        )
         writer.start(profile="ros2", library="test")
         channels: dict[str, int] = {}
         for topic, log_time_ns, message in entries:
@@ -43,91 +53,108 @@ def foreign_mcap(path: Path, entries: list, chunked: bool, compression: Compress
 
 
 def _whole(kind: str, folder: Path) -> Path:
-    match kind.split():
-        case ["ros1", compression]:
-            return write_bag(folder / "a.bag", _entries(1), 1500, "" if compression == "none" else compression)
-        case ["mcap", "rosbags"]:
-            return write_bag(folder / "a_mcap", _entries(2)) / "a_mcap.mcap"
-        case ["mcap", "unchunked"]:
-            return foreign_mcap(folder / "a.mcap", _entries(2), False, CompressionType.NONE)
-        case ["mcap", compression]:
-            return foreign_mcap(folder / "a.mcap", _entries(2), True, CompressionType[compression.upper()])
-    raise AssertionError(kind)
+    container, how = kind.split()
+    if container == "ros1":
+        return write_bag(folder / "a.bag", _entries(1), 1500, "" if how == "none" else how)
+    chunked = how != "unchunked"
+    compression = CompressionType[how.upper()] if chunked else CompressionType.NONE
+    return foreign_mcap(folder / "a.mcap", _entries(2), chunked, compression)
 
 
 def _read(path: Path) -> list[tuple[str, int, bytes]]:
     with open_bag(path) as bag:
-        messages = [(m.topic, m.log_time_ns, bytes(m.data)) for m in bag.messages(list(bag.topics))]
-        assert sum(t.count for t in bag.topics.values()) == len(messages)
+        messages = [(m.topic, m.log_time_ns, bytes(m.data)) for m in bag.messages(bag.topics)]
         for topic in bag.topics:
-            heads = [(t, d[:12]) for p, t, d in messages if p == topic]
-            assert list(bag.heads(topic, 12)) == heads
-        if messages:
-            assert bag.start_ns == messages[0][1]
-            assert bag.end_ns == messages[-1][1]
-        return messages
-
-
-KINDS = ["ros1 none", "ros1 bz2", "ros1 lz4", "mcap rosbags", "mcap unchunked", "mcap none", "mcap lz4", "mcap zstd"]
+            heads = [(time_ns, data[:9]) for name, time_ns, data in messages if name == topic]
+            assert list(bag.heads(topic, 9)) == heads
+            assert bag.topics[topic].count == len(heads)
+    return messages
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_comes_before_the_cut_is_read(tmp_path, kind):
+def test_messages_in_whole_chunks_before_the_cut_are_read(tmp_path, kind):
     path = _whole(kind, tmp_path)
-    content = path.read_bytes()
-    messages = _read(path)
-    assert len(messages) == 36
+    messages, content = _read(path), path.read_bytes()
     cut = tmp_path / f"cut{path.suffix}"
     counts = []
-    for position in np.linspace(1, len(content) - 1, 60).astype(int):
+    for position in np.linspace(1, len(content) - 1, 40).astype(int):
         cut.write_bytes(content[:position])
         try:
             found = _read(cut)
         except InputError:
             found = []
         assert found == messages[: len(found)]
-        # Uncompressed, each message lies in the file as it is: those before the cut are all there.
-        if kind in ("ros1 none", "mcap rosbags", "mcap unchunked", "mcap none"):
-            assert len(found) >= sum(content.find(data) + len(data) <= position for _, _, data in messages)
+        if kind in ("ros1 none", "mcap unchunked", "mcap none"):
+            ends = [content.find(data) + len(data) for _, _, data in messages]
+            assert len(found) >= sum(end + 2 * CHUNK_BYTES <= position for end in ends)
         counts.append(len(found))
     assert counts == sorted(counts)
-    assert counts[len(counts) // 2] > 8
+    assert counts[len(counts) // 2] > 5
 
 
 @pytest.mark.parametrize("kind", ["ros1 none", "mcap lz4"])
-def test_a_cut_bag_warns_and_seeks(tmp_path, kind):
+def test_cut_bag_warns_and_seeks(tmp_path, kind):
     path = _whole(kind, tmp_path)
-    messages = _read(path)
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * 0.6)])
-    with open_bag(path) as bag:
-        assert "cut" in bag.warnings[0]
-        assert path.name in bag.warnings[0]
-        start, stop = messages[6][1], messages[12][1]
-        part = [(m.topic, m.log_time_ns, bytes(m.data)) for m in bag.messages(list(bag.topics), start, stop)]
-        assert part == [m for m in messages if start <= m[1] < stop]
-
-
-def test_a_killed_ros1_recorder_leaves_a_chunk_of_size_zero(tmp_path):
-    path = write_bag(tmp_path / "a.bag", _entries(1), 10**9)
-    content = bytearray(path.read_bytes())
     messages = _read(path)
-    # index_pos 0, and the chunk's size as the recorder writes it before it is known.
-    at = content.index(b"index_pos=") + 10
-    content[at : at + 8] = bytes(8)
-    chunk = len(b"#ROSBAG V2.0\n") + 4096
-    size_at = chunk + 4 + int.from_bytes(content[chunk : chunk + 4], "little")
-    content[size_at : size_at + 4] = bytes(4)
-    killed = tmp_path / "killed.bag"
-    killed.write_bytes(content[: len(content) * 2 // 3])
-    found = _read(killed)
-    assert found == messages[: len(found)]
-    assert len(found) > 12
+    with open_bag(path) as bag:
+        assert bag.warnings[0].startswith(f"{path.name}: cut, or its recorder was killed: ")
+        start, stop = messages[6][1], messages[12][1]
+        part = [m.log_time_ns for m in bag.messages(bag.topics, start, stop)]
+        assert part == [m[1] for m in messages if start <= m[1] < stop]
 
 
-def test_a_cut_file_in_a_folder(tmp_path):
-    folder = write_bag(tmp_path / "a_mcap", _entries(2))
-    file = folder / "a_mcap.mcap"
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with open_bag(folder) as bag:
-        assert len(list(bag.messages(list(bag.topics)))) > 8
-        assert any("cut" in warning for warning in bag.warnings)
+COUNT = 12
+
+
+def killed(folder: Path, checkpointed: int) -> Path:
+    """Make the folder of a killed recorder, with some messages in the database itself."""
+    entries = clouds("/a", COUNT, ros_version=2)
+    source = next(write_bag(folder / "source_db3", entries).glob("*.db3"))
+    live, left = folder / "live.db3", folder / "left"
+    with (
+        closing(sqlite3.connect(source)) as whole,
+        closing(sqlite3.connect(live, isolation_level=None)) as bag,
+    ):
+        bag.execute("PRAGMA journal_mode=WAL")
+        bag.execute("PRAGMA wal_autocheckpoint=0")
+        query = "SELECT sql, type, name FROM sqlite_master WHERE sql IS NOT NULL"
+        tables = whole.execute(query).fetchall()
+        for sql, _, _ in tables:
+            bag.execute(sql)
+        for name in (name for _, kind, name in tables if kind == "table"):
+            for number, row in enumerate(whole.execute(f"SELECT * FROM {name}").fetchall()):
+                if name == "messages" and number == checkpointed:
+                    bag.execute("PRAGMA wal_checkpoint(RESTART)")
+                bag.execute(f"INSERT INTO {name} VALUES ({','.join('?' * len(row))})", row)
+        left.mkdir()
+        for suffix in ("", "-wal"):
+            shutil.copy(f"{live}{suffix}", left / f"a.db3{suffix}")
+    return left
+
+
+def _by_sqlite(folder: Path) -> list[tuple[str, int, bytes]]:
+    copy = shutil.copytree(folder, folder.with_name("copy"))
+    query = "SELECT '/a', timestamp, data FROM messages ORDER BY timestamp"
+    with closing(sqlite3.connect(copy / "a.db3")) as bag:
+        return bag.execute(query).fetchall()
+
+
+@pytest.mark.parametrize(
+    ("checkpointed", "described", "torn"),
+    [(0, False, None), (5, True, None), (COUNT, False, None), (3, False, 0.6), (3, True, 0.97)],
+)
+def test_messages_in_a_write_ahead_log_are_read(tmp_path, checkpointed, described, torn):
+    left = killed(tmp_path, checkpointed)
+    if described:
+        text = (tmp_path / "source_db3" / "metadata.yaml").read_text()
+        (left / "metadata.yaml").write_text(text.replace("source_db3.db3", "a.db3"))
+    if torn:
+        content = bytearray((left / "a.db3-wal").read_bytes())
+        content[int(torn * len(content))] ^= 1
+        (left / "a.db3-wal").write_bytes(content)
+    before = {path.name: path.read_bytes() for path in left.iterdir()}
+    found = _read(left)
+    assert {path.name: path.read_bytes() for path in left.iterdir()} == before
+    assert found == _by_sqlite(left)
+    assert len(found) == COUNT if torn is None else 3 <= len(found) < COUNT

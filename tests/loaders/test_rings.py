@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffmap.loaders.pointcloud2 import decode, settle_decoding
+from ffmap.loaders.decoding import decode, settle_decoding
 from ffmap.loaders.rings import RingSample, estimate_rings
 from tests.loaders.bag_builder import cloud, only, sweep
 

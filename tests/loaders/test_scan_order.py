@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from ffmap.loaders.cloud_index import CloudIndex
 from ffmap.loaders.scan_order import ScanOrder
-from ffmap.loaders.scans import CloudIndex
 
 
 def index(topic: str, stamps: list[int], unusable: tuple[int, ...] = ()) -> CloudIndex:

@@ -5,17 +5,11 @@ import pytest
 
 from ffmap.algorithms.base.scan import Scan
 from ffmap.loaders.bag import make_typestore, open_bag
+from ffmap.loaders.cloud_checks import clock_problem, stamp_problem
+from ffmap.loaders.cloud_index import index_clouds
+from ffmap.loaders.decoding import settle_decoding
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.pointcloud2 import settle_decoding
-from ffmap.loaders.scans import (
-    SkippedScan,
-    clock_problem,
-    index_clouds,
-    read_digests,
-    read_scans,
-    sample_messages,
-    stamp_problem,
-)
+from ffmap.loaders.scans import SkippedScan, read_digests, read_scans, sample_messages
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, header, odometry, only, sweep, write_bag
 
 NAMES = ["a.bag", "lz4.bag", "a_db3", "a_mcap"]

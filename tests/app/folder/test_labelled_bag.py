@@ -14,10 +14,11 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.folder.labelled_bag import write_labelled_bag
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.cloud_digest import joined
+from ffmap.loaders.cloud_index import index_clouds
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import StaticTransform, edges_of
 from ffmap.loaders.rig import Rig
-from ffmap.loaders.scans import index_clouds, read_digests
+from ffmap.loaders.scans import read_digests
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, sweep, write_bag
 
 CONTAINERS = ["in.bag", "in_mcap", "in_sqlite3"]

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from ffmap.loaders.bag import open_bag
-from ffmap.loaders.scans import index_clouds
+from ffmap.loaders.cloud_index import index_clouds
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.loaders.bag_builder import PERIOD_NS
 from tests.parts import PACKETS, cut, in_one_folder, in_packets

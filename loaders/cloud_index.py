@@ -1,0 +1,304 @@
+"""The clouds of a topic, one a revolution, from the headers and first points of its messages.
+
+Some recordings contain a PointCloud2 for each UDP packet, some 75 a revolution (Cartographer's
+backpack): these are joined until the azimuth comes round. Where a driver cuts at half a
+revolution, or a third, a fixed number of clouds makes one.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, fields, replace
+from itertools import islice
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import numpy.typing as npt
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.trajectory import gaps
+from ffmap.loaders.bag import Bag, RawMessage, Topic
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudLayout, describe_layout, points_of
+from ffmap.loaders.sensors import cloud_hint, sensor_of
+
+_HEADER_BYTES = 16 + 64  # Up to the frame's name
+_FRAME_SHARE_MIN = 0.05  # Of a topic's clouds; a few odd ones are no second lidar
+_PART_NS = 4_000_000  # Clouds that come faster are parts of a revolution: no lidar spins at 250 Hz
+_LEAD_POINTS = 32
+_BATCH = 4096
+_LEADS = 100  # Number of clouds whose first returns show whether they are parts of a revolution
+_LEADS_ALIKE = 0.8  # Minimum mean resultant length of their steps; without order it is near 0
+_SECTORS = 36
+_OUTLIER_PERIODS = 10
+_LOOK_AHEAD = 1000  # Number of following clouds that show whether the clock or one stamp is wrong
+_STRETCH_MIN = 3  # Minimum number of clouds between two leaps of the stamps; fewer are wrong
+
+
+@dataclass(frozen=True, eq=False)
+class CloudIndex:
+    """Where the clouds of a topic are: (m,) arrays, one row a revolution, in order of log time.
+
+    log_time_ns: int64, of the revolution's first message.
+    stamp_ns: int64, header stamp of the revolution's first message.
+    message_count: int64, messages a revolution.
+    earlier: int64, messages with the same log time before the revolution's first.
+    usable: bool, False where the stamp repeats, jumps back, or jumps ahead of most that follow.
+    frames: frames in the messages' headers, without rare ones.
+    """
+
+    topic: str
+    log_time_ns: IntArray
+    stamp_ns: IntArray
+    message_count: IntArray
+    earlier: IntArray
+    usable: BoolArray
+    frames: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    def gathered(self, clouds: int) -> "CloudIndex":
+        """Join up to `clouds` successive clouds to one with the first one's stamp.
+
+        Unusable clouds stay alone, and none are joined across a pause.
+        """
+        if clouds == 1 or not len(self):
+            return self
+        steps = np.diff(self.stamp_ns)
+        joins = self.usable[1:] & self.usable[:-1] & (steps < 1.5 * (self.period_ns or 0))
+        first, count = [0], 1
+        for i, joined in enumerate(joins.tolist(), start=1):
+            count = count + 1 if joined and count < clouds else 1
+            if count == 1:
+                first.append(i)
+        return replace(
+            self._rows(first), message_count=np.add.reduceat(self.message_count, first)
+        )
+
+    def until(self, stop_ns: int) -> "CloudIndex":
+        """Select the clouds before the first one with this stamp or a later one."""
+        return self._rows(slice(int(np.argmax(np.append(self.stamp_ns >= stop_ns, True)))))
+
+    def _rows(self, rows: slice | list[int]) -> "CloudIndex":
+        names = [f.name for f in fields(self) if f.name not in ("topic", "frames")]
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    @property
+    def period_ns(self) -> int | None:
+        """The median time between two clouds; None for fewer than two."""
+        steps = np.diff(self.stamp_ns[self.usable])
+        return int(np.median(steps)) if len(steps) else None
+
+    @property
+    def gaps(self) -> list[tuple[int, int]]:
+        """Stamp of the last cloud before each gap, and the gap's length, in nanoseconds."""
+        stamps = self.stamp_ns[self.usable]
+        return [(int(stamps[i]), int(stamps[i + 1] - stamps[i])) for i in gaps(stamps)]
+
+
+_indices: WeakKeyDictionary[Bag, dict[str, CloudIndex]] = WeakKeyDictionary()
+"""Of each open bag: reading all headers of a large bag takes seconds."""
+
+
+def index_clouds(bag: Bag, topic: str) -> CloudIndex:
+    """Index all clouds of a topic, once for an open bag.
+
+    Raises InputError where it contains no clouds, and where files of the bag overlap.
+    """
+    known, found = _indices.setdefault(bag, {}), bag.topic(topic)
+    if found.name not in known:
+        known[found.name] = _index_clouds(bag, found)
+    return known[found.name]
+
+
+def _index_clouds(bag: Bag, topic: Topic) -> CloudIndex:
+    sensor = sensor_of(topic)
+    if sensor is None or sensor.unread_reason(bag, topic):
+        raise InputError(
+            f"{bag.path.name}: topic {topic.name} is {topic.msgtype}, no point cloud; "
+            f"{cloud_hint(bag)}"
+        )
+    bag.check_recorded_once(topic.name)
+    frames: tuple[str, ...] = ()
+    if found := sensor.index(bag, topic.name):
+        log_time_ns, counts, stamps = found
+    else:
+        log_time_ns, stamps, frames = read_headers(bag, topic.name)
+        counts = np.ones(len(stamps), np.int64)
+        if topic.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
+            counts = _revolutions(bag, topic.name, stamps)
+        stamps = stamps[np.cumsum(counts) - counts]
+    first = np.cumsum(counts) - counts
+    earlier = np.arange(len(log_time_ns)) - np.searchsorted(log_time_ns, log_time_ns, side="left")
+    index = CloudIndex(
+        topic=topic.name,
+        log_time_ns=log_time_ns[first],
+        stamp_ns=stamps,
+        message_count=counts,
+        earlier=earlier[first],
+        usable=_usable(stamps, log_time_ns[first]),
+        frames=frames,
+    )
+    if topic.msgtype != CLOUD_TYPE or len(first) < len(log_time_ns):
+        return index
+    return index.gathered(_clouds_a_turn(bag, topic.name))
+
+
+def read_headers(bag: Bag, topic: str) -> tuple[IntArray, IntArray, tuple[str, ...]]:
+    """Read log times and stamps (m,) of a topic's messages, and their frames without rare ones.
+
+    Seconds and nanoseconds are at bytes 4 to 12 in ROS 1 and in CDR, then the frame's length and
+    name.
+    """
+    times_ns, heads = [], []
+    for time_ns, head in bag.heads(topic, _HEADER_BYTES):
+        times_ns.append(time_ns)
+        heads.append(head.ljust(_HEADER_BYTES, b"\0"))
+    # The second byte of CDR is odd for little-endian; ROS 1 always is.
+    order = "<u4" if bag.ros_version == 1 or not heads or heads[0][1] & 1 else ">u4"
+    words = np.frombuffer(b"".join(heads), order).reshape(len(heads), -1).astype(np.int64)
+    names = (head[16 : 16 + n] for head, n in zip(heads, words[:, 3].tolist(), strict=True))
+    frames = Counter(
+        name.split(b"\0")[0].decode(errors="replace").removeprefix("/") for name in names
+    )
+    few = _FRAME_SHARE_MIN * len(heads)
+    return (
+        np.array(times_ns, np.int64),
+        words[:, 1] * 1_000_000_000 + words[:, 2],
+        tuple(sorted(name for name, count in frames.items() if name and count > few)),
+    )
+
+
+def _are_parts(stamps: IntArray, log_time_ns: IntArray) -> bool:
+    """Whether messages come so fast that they are parts of revolutions.
+
+    Where most stamps repeat, the log times decide: a bag may contain every message twice.
+    """
+    if len(stamps) < 20:
+        return False
+    repeat = np.mean(np.diff(stamps) == 0) >= 0.5
+    steps = np.diff(log_time_ns if repeat else stamps)
+    return bool(np.any(steps > 0) and np.median(steps[steps > 0]) < _PART_NS)
+
+
+def _usable(stamps: IntArray, log_time_ns: IntArray) -> BoolArray:
+    """Find the clouds whose stamps increase."""
+    usable = np.zeros(len(stamps), bool)
+    steps = np.diff(stamps)
+    leap_ns = _OUTLIER_PERIODS * float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    last: int | None = None
+    for i, stamp in enumerate(stamps.tolist()):
+        if last is not None and stamp <= last:
+            continue
+        # A stamp far ahead of those that follow is the wrong one, not they.
+        if last is None or stamp - last > leap_ns:
+            following = stamps[i + 1 : i + 1 + _LOOK_AHEAD]
+            if 2 * np.count_nonzero(following < stamp) > len(following):
+                continue
+        usable[i] = True
+        last = stamp
+    kept = np.flatnonzero(usable)
+    if len(kept):
+        # A leap in which no time passed separates stretches; short ones are wrong. The first
+        # cloud of a driver that has no time yet may be stamped 0. In a pause, time passes.
+        steps = np.diff(stamps[kept])
+        leaps = (steps > leap_ns) & (2 * np.diff(log_time_ns[kept]) < steps)
+        stretch = np.concatenate([[0], np.cumsum(leaps)])
+        lengths = np.bincount(stretch)
+        if lengths.max() >= _STRETCH_MIN:
+            usable[kept] = lengths[stretch] >= _STRETCH_MIN
+    return usable
+
+
+def _revolutions(bag: Bag, topic: str, stamps: IntArray) -> IntArray:
+    """Count the messages of each revolution, from the azimuth of each message's first return."""
+    azimuth = _azimuths(bag, topic)
+    steps = np.mod(np.diff(azimuth) + np.pi, 2 * np.pi) - np.pi
+    direction = 1.0 if np.nanmedian(steps) > 0 else -1.0
+    phase = np.maximum.accumulate(np.concatenate([[0.0], np.nancumsum(direction * steps)]))
+    turn = np.floor(phase / (2 * np.pi) + 1e-9).astype(np.int64)
+    # A pause longer than half a revolution ends the cloud, whatever the azimuth.
+    turns = max(float(phase[-1]) / (2 * np.pi), 1.0)
+    period = float(np.sum(np.minimum(np.diff(stamps), 10 * _PART_NS))) / turns
+    begins = (np.diff(turn) > 0) | (np.diff(stamps) > period / 2)
+    return np.diff(np.concatenate([[0], np.flatnonzero(begins) + 1, [len(stamps)]]))
+
+
+def _clouds_a_turn(bag: Bag, topic: str) -> int:
+    """Count the successive clouds that make up a revolution.
+
+    Clouds are parts of a revolution where each sees a part of the directions, and the next begins
+    where it ended.
+    """
+    azimuth = _azimuths(bag, topic, _LEADS)
+    if len(azimuth) < 20:
+        return 1
+    mean = np.mean(np.exp(1j * np.diff(azimuth)))
+    step = abs(float(np.angle(mean))) / (2 * np.pi)
+    if abs(mean) < _LEADS_ALIKE or step < 1 / _SECTORS:
+        return 1
+    seen = float(np.nanmedian([_seen(bag, raw) for raw in islice(bag.messages([topic]), 8)]))
+    # A lidar that turns by more than half a revolution seems to turn the other way round.
+    steps = [share for share in (step, 1 - step) if seen < share + 3 / _SECTORS]
+    return max(round(1 / min(steps)), 1) if steps else 1
+
+
+def _seen(bag: Bag, raw: RawMessage) -> float:
+    """Share of the directions about the spin axis with returns; NaN in a damaged cloud."""
+    try:
+        message = bag.deserialize(raw)
+        points = points_of(message, describe_layout(message, raw.topic))
+    except InputError:
+        return float("nan")
+    x, y, valid = _horizontal(points)
+    sectors = np.floor(np.arctan2(y[valid], x[valid]) / (2 * np.pi) * _SECTORS)
+    return len(np.unique(sectors % _SECTORS)) / _SECTORS
+
+
+def _azimuths(bag: Bag, topic: str, count: int | None = None) -> FloatArray:
+    """Azimuth (m,) in radians of the first return of each message, or of the first `count`.
+
+    A message without a return among its first points has that of the message before.
+    """
+    found = _first_layout(bag, topic)
+    if found is None:
+        return np.zeros(bag.topic(topic).count)
+    data_at, layout = found
+    lead_bytes = _LEAD_POINTS * layout.point.itemsize
+    heads = islice(bag.heads(topic, data_at + lead_bytes), count)
+    azimuths = []
+    while batch := list(islice(heads, _BATCH)):
+        leads = b"".join(head[data_at:].ljust(lead_bytes, b"\0") for _, head in batch)
+        points = np.frombuffer(leads, layout.point).reshape(len(batch), -1)
+        x, y, valid = _horizontal(points)
+        first = np.arange(len(batch)), valid.argmax(axis=1)
+        azimuth = np.arctan2(y[first], x[first])
+        azimuths.append(np.where(valid.any(axis=1), azimuth, np.nan))
+    azimuth = np.concatenate([np.zeros(0), *azimuths])
+    known = np.flatnonzero(np.isfinite(azimuth))
+    if not len(known):
+        return np.zeros(len(azimuth))
+    before = np.searchsorted(known, np.arange(len(azimuth)), side="right") - 1
+    return np.asarray(azimuth[known[np.maximum(before, 0)]])
+
+
+def _first_layout(bag: Bag, topic: str) -> tuple[int, CloudLayout] | None:
+    """Find where in a message the points begin, and their layout, in the first sound message.
+
+    Header and fields are alike in every message.
+    """
+    for raw in bag.messages([topic]):
+        try:
+            message = bag.deserialize(raw)
+            layout = describe_layout(message, topic)
+        except InputError:
+            continue
+        if layout.height * layout.width:
+            # is_dense, one byte, follows the points.
+            return len(raw.data) - 1 - len(message.data), layout
+    return None
+
+
+def _horizontal(points: npt.NDArray[np.void]) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return x, y and whether they are valid, of the points' shape."""
+    x, y = (points[axis].astype(np.float64) for axis in "xy")
+    return x, y, np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
