@@ -1,4 +1,4 @@
-"""Where a bag lies: one file or folder, or several of them, the parts of one drive."""
+"""The path of a bag: one file or folder, or several of them, the parts of one drive."""
 
 import shlex
 from dataclasses import dataclass
@@ -7,9 +7,9 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class BagPath:
-    """What is opened as one bag; an error about all of it names it by its first part.
+    """The paths that are opened as one bag, at least one; of an open bag in the order of time.
 
-    parts: files and folders, one at least; those of an open bag are in the order of time.
+    As text, it is the first part and the number of others.
     """
 
     parts: tuple[Path, ...]
@@ -19,22 +19,20 @@ class BagPath:
 
     @property
     def name(self) -> str:
-        """The same without the folder."""
         return self._with_others(self.parts[0].name)
 
     @property
     def stem(self) -> str:
-        """What files that are made from the bag are named after."""
         return self.parts[0].stem
 
     @property
     def words(self) -> str:
-        """All parts, as the command line takes them."""
+        """All parts, as on the command line."""
         return shlex.join(map(str, self.parts))
 
     @property
     def missing(self) -> Path | None:
-        """The first part that is not there; None where all are."""
+        """The first part that does not exist; None where all do."""
         return next((part for part in self.parts if not part.exists()), None)
 
     def resolve(self) -> "BagPath":

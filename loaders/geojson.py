@@ -1,4 +1,4 @@
-"""GeoJSON that a run wrote, or a user gives in its place: features of one kind of geometry, checked as they are read."""
+"""GeoJSON of a run or a user: features of one kind of geometry, checked as they are read."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,24 +8,26 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.loaders.errors import InputError, shortened
+from ffmap.loaders.errors import InputError, first_problem
 from ffmap.loaders.text_files import read_json
 
 Position = Annotated[list[FiniteFloat], Field(min_length=2)]
+Positions = Annotated[list[Position], Field(min_length=2)]
+Ring = Annotated[list[Position], Field(min_length=4)]
 
 
 class Line(BaseModel):
-    """A LineString; coordinates in metres in the map frame."""
+    """A LineString; metres in the map frame."""
 
     type: Literal["LineString"]
-    coordinates: Annotated[list[Position], Field(min_length=2)]
+    coordinates: Positions
 
 
 class Outline(BaseModel):
     """A Polygon: its outer ring, then its holes, each closed; metres in the map frame."""
 
     type: Literal["Polygon"]
-    coordinates: Annotated[list[Annotated[list[Position], Field(min_length=4)]], Field(min_length=1)]
+    coordinates: Annotated[list[Ring], Field(min_length=1)]
 
 
 class _LineFeature(BaseModel):
@@ -54,17 +56,17 @@ class _TrueProperties(BaseModel):
     state: str | None = None
     height: FiniteFloat | None = None
     wall_thickness: FiniteFloat | None = None
-    leaves: list[Annotated[list[Position], Field(min_length=2)]] | None = None
+    leaves: list[Positions] | None = None
 
 
 class _TrueFeature(BaseModel):
-    """Of a true building: walls, doors, rooms, and whatever else there is."""
+    """A wall, door, room or other element of a ground truth."""
 
     geometry: Line | Outline = Field(discriminator="type")
     properties: _TrueProperties
 
     @model_validator(mode="after")
-    def _has_what_its_kind_needs(self) -> Self:
+    def _matches_its_kind(self) -> Self:
         kind, geometry = self.properties.kind, self.geometry.type
         if kind == "door" and (self.properties.state is None or geometry != "LineString"):
             raise ValueError("a door is a LineString with a state")
@@ -83,15 +85,15 @@ _FEATURES: dict[Kind, type[BaseModel]] = {
 
 
 def read_features(path: Path, of: Kind, advice: str) -> list[dict[str, Any]]:
-    """The features of a FeatureCollection as dictionaries; doors are lines that have a width and a state.
+    """Read the features of a FeatureCollection as dictionaries.
 
-    advice: what the user can do; the end of the error's line. Raises InputError where the file is no such GeoJSON.
+    Raises InputError, which ends with `advice`, where the file is no such GeoJSON.
     """
     return check_features(read_json(path, advice), of, str(path), advice)
 
 
 def check_features(content: object, of: Kind, where: str, advice: str) -> list[dict[str, Any]]:
-    """The features of a FeatureCollection, as they are; `where` names it in the error's line, see `read_features`."""
+    """Check the features of a FeatureCollection, named `where` in errors; see `read_features`."""
     features = content.get("features") if isinstance(content, dict) else None
     if not isinstance(features, list):
         raise InputError(f"{where}: is no GeoJSON, it has no list of features; {advice}")
@@ -99,15 +101,15 @@ def check_features(content: object, of: Kind, where: str, advice: str) -> list[d
         try:
             _FEATURES[of].model_validate(feature)
         except ValidationError as error:
-            first = error.errors()[0]
-            place = ".".join(str(part) for part in first["loc"])
             raise InputError(
-                f"{where}: is no GeoJSON of {of}: feature {number}: {place}: {shortened(first['msg'].lower())}; {advice}"
+                f"{where}: is no GeoJSON of {of}: feature {number}: {first_problem(error)}; "
+                f"{advice}"
             ) from None
     return features
 
 
 def segments(features: Sequence[Any]) -> FloatArray:
-    """(n, 2, 2) x and y of the first two positions of each LineString."""
-    ends = [[position[:2] for position in feature["geometry"]["coordinates"][:2]] for feature in features]
+    """Return (n, 2, 2) x and y of the first two positions of each LineString."""
+    lines = (feature["geometry"]["coordinates"][:2] for feature in features)
+    ends = [[position[:2] for position in line] for line in lines]
     return np.array(ends, float).reshape(-1, 2, 2)

@@ -14,10 +14,11 @@ from ffmap.loaders.cloud_checks import check_one_lidar, clock_problem, stamp_pro
 from ffmap.loaders.cloud_index import CloudIndex, index_clouds
 from ffmap.loaders.decoding import CloudDecoding, TimeFrom, decode, settle_decoding
 from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.frames import FrameTree, read_frame_tree
 from ffmap.loaders.own_body import without_own_body
 from ffmap.loaders.pointcloud2 import CLOUD_TYPE
-from ffmap.loaders.rig import Rig, find_rig
+from ffmap.loaders.rig import Rig
 from ffmap.loaders.scans import SkippedScan, read_scans, sample_messages
 from ffmap.loaders.sensors import CLOUDS_WANTED, cloud_topics, unread_topics
 from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC

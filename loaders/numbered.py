@@ -1,4 +1,4 @@
-"""Names of things of which there mostly is one: a bag has `/truth/classes`, and with a second labelled lidar `/truth/classes_2`."""
+"""Numbered names: a bag has `/truth/classes`, and for a second vertical lidar a `…_2`."""
 
 from collections.abc import Mapping
 from itertools import count, takewhile
@@ -8,10 +8,11 @@ T = TypeVar("T")
 
 
 def numbered(name: str, place: int) -> str:
-    """The name of the first thing of its kind (place 0), the second, and so on: name, name_2, name_3."""
-    return name if not place else f"{name}_{place + 1}"
+    """Number a name by its place from 0: name, name_2, name_3."""
+    return f"{name}_{place + 1}" if place else name
 
 
 def all_numbered(values: Mapping[str, T], name: str) -> list[T]:
-    """What a mapping holds under these names, as far as they go on."""
-    return [values[own] for own in takewhile(values.__contains__, (numbered(name, place) for place in count()))]
+    """Return the values under name, name_2, and so on, as far as they continue."""
+    names = (numbered(name, place) for place in count())
+    return [values[own] for own in takewhile(values.__contains__, names)]

@@ -1,6 +1,6 @@
-"""Text files that users give: read whole, of a bounded size, as TOML, YAML or JSON.
+"""Text files of users: read whole, of a bounded size, as TOML, YAML or JSON.
 
-What is no regular file is refused before it is opened: reading a pipe blocks, and a device such as /dev/zero never ends.
+Pipes and devices are refused before they are opened: reading them may block or never end.
 """
 
 import json
@@ -16,14 +16,15 @@ from ffmap.loaders.errors import InputError, shortened
 
 TEXT_BYTES_MAX = 64 << 20  # A trajectory of 100 hours at 10 Hz has 40 MB
 SETTINGS_BYTES_MAX = 64 << 10
-"""Of a file that a person writes: all settings with their descriptions have 18 kB; YAML of 100 kB takes a second."""
+"""Of a file that a person writes: all settings have 18 kB; YAML of 100 kB takes a second."""
 SETTINGS_LINE_MAX = 1000
-"""Characters of a line of TOML; the time that a dotted name takes grows with the square of its length."""
+"""Characters of a line of TOML; the time for a dotted name grows with the square of its length."""
 
 
 def require_regular(path: Path, advice: str, what: str = "") -> None:
-    """Raises InputError where `path` is not there, or is a folder, a pipe or a device. advice: what the user can do;
-    the end of the error's line. what: its beginning, where the path alone says too little.
+    """Raise InputError where there is no file: nothing, a folder, a pipe or a device.
+
+    advice: end of the error's line. what: its beginning.
     """
     try:
         mode = path.stat().st_mode
@@ -31,24 +32,25 @@ def require_regular(path: Path, advice: str, what: str = "") -> None:
         raise InputError(f"{what}{path}: is not there; {advice}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{what}{path}: cannot be read ({_reason(error)}); {advice}") from error
-    if not stat.S_ISREG(mode):
-        raise InputError(f"{what}{path}: is {_kind(mode)}, not a file; {advice}")
-
-
-def _kind(mode: int) -> str:
+    if stat.S_ISREG(mode):
+        return
+    kind = "a device or a socket"
     if stat.S_ISDIR(mode):
-        return "a folder"
-    return "a pipe" if stat.S_ISFIFO(mode) else "a device or a socket"
+        kind = "a folder"
+    elif stat.S_ISFIFO(mode):
+        kind = "a pipe"
+    raise InputError(f"{what}{path}: is {kind}, not a file; {advice}")
 
 
 def read_text(path: Path, advice: str, bytes_max: int = TEXT_BYTES_MAX) -> str:
-    """The text of a UTF-8 file. advice: what the user can do, as "give a TUM file"; it ends the one line of every
-    InputError. Raises InputError where it is no file of text, cannot be read, or has more than `bytes_max` bytes.
+    """Read a UTF-8 file of at most `bytes_max` bytes.
+
+    Raises InputError, which ends with `advice`, where it is no such file.
     """
     require_regular(path, advice)
     try:
         if path.stat().st_size > bytes_max:
-            raise InputError(f"{path}: has more than {bytes_max:,} bytes, too many for what it should be; {advice}")
+            raise InputError(f"{path}: has more than {bytes_max:,} bytes; {advice}")
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({_reason(error)}); {advice}") from error
@@ -59,7 +61,7 @@ def read_text(path: Path, advice: str, bytes_max: int = TEXT_BYTES_MAX) -> str:
 
 
 def read_toml(path: Path, advice: str) -> dict[str, Any]:
-    """A TOML file; `advice` and errors as of `read_text`."""
+    """Read a TOML file; see `read_text`."""
     return dict(_parsed(_toml, path, "TOML", advice, SETTINGS_BYTES_MAX))
 
 
@@ -69,26 +71,26 @@ def _toml(text: str) -> dict[str, Any]:
     return tomllib.loads(text)
 
 
-def read_yaml(path: Path, advice: str) -> Any:  # noqa: ANN401 - whatever the file holds
-    """A YAML file by the safe loader; `advice` and errors as of `read_text`."""
+def read_yaml(path: Path, advice: str) -> Any:  # noqa: ANN401 - whatever the file contains
+    """Read a YAML file by the safe loader; see `read_text`."""
     return _parsed(yaml.safe_load, path, "YAML", advice, SETTINGS_BYTES_MAX)
 
 
 def read_json(path: Path, advice: str) -> Any:  # noqa: ANN401 - as above
-    """A JSON file; `advice` and errors as of `read_text`."""
+    """Read a JSON file; see `read_text`."""
     return _parsed(json.loads, path, "JSON", advice, TEXT_BYTES_MAX)
 
 
 def read_object(path: Path, advice: str) -> dict[str, Any]:
-    """A JSON file of names and values; `advice` and errors as of `read_text`."""
+    """Read a JSON file of names and values; see `read_text`."""
     content = read_json(path, advice)
     if not isinstance(content, dict):
-        raise InputError(f"{path}: holds no names and values; {advice}")
+        raise InputError(f"{path}: contains no names and values; {advice}")
     return content
 
 
 def dotted_keys(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested values by TOML's dotted keys, as --set takes those of settings."""
+    """Flatten nested values to TOML's dotted keys."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):
@@ -98,7 +100,9 @@ def dotted_keys(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _parsed(parse: Callable[[str], Any], path: Path, language: str, advice: str, bytes_max: int) -> Any:  # noqa: ANN401
+def _parsed(
+    parse: Callable[[str], Any], path: Path, language: str, advice: str, bytes_max: int
+) -> Any:  # noqa: ANN401 - as above
     text = read_text(path, advice, bytes_max)
     try:
         return parse(text)

@@ -1,10 +1,10 @@
-"""The truth that simulated bags carry: building, poses and classes. Only the evaluation reads it.
+"""The ground truth in simulated bags: building, poses and classes. Only the evaluation reads it.
 
     /truth/pose       nav_msgs/Odometry: T_map_base
     /truth/building   std_msgs/String: GeoJSON of walls, doors and rooms
-    /truth/classes    PointCloud2 with the stamps, the order and the frame of a vertical lidar's clouds; its field `truth`, uint8,
-                      is the class of each point, see `ffmap.algorithms.base.labels.Truth`
-    /truth/classes_2  the same of a second vertical lidar, and so on; the frame in its headers tells which lidar it is of
+    /truth/classes    PointCloud2 with stamps, order and frame of a vertical lidar's clouds; its
+                      field `truth` is the class of each point, see `algorithms.base.labels.Truth`
+    /truth/classes_2  the same of a second vertical lidar, and so on
 """
 
 import json
@@ -33,8 +33,11 @@ BUILDING_TOPIC = "/truth/building"
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """A bag's truth; what the bag lacks is None. trajectory: T_map_base. building: GeoJSON FeatureCollection of walls,
-    doors and rooms, metres in the map frame. classes: the true class of every point of the vertical clouds, lidar by lidar.
+    """A bag's ground truth; None for parts that the bag lacks.
+
+    trajectory: T_map_base.
+    building: GeoJSON FeatureCollection of walls, doors and rooms, metres in the map frame.
+    classes: the class of every point of the vertical clouds, lidar by lidar.
     """
 
     trajectory: Trajectory | None
@@ -42,42 +45,40 @@ class Truth:
     classes: "tuple[TruthClasses, ...]" = ()
 
     def classes_topics(self, frames: Sequence[str]) -> list[str | None]:
-        """Of each vertical lidar, by its frame, the topic with its clouds' classes; None where the truth has none."""
+        """Find the topic of classes of each vertical lidar, by its frame; None without one."""
         topics = {classes.frame_id: classes.topic for classes in self.classes}
         return [topics.get(frame) for frame in frames]
 
 
 class TruthClasses:
-    """The clouds of /truth/classes, or of a further lidar's topic, by their stamps, which are those of the vertical clouds,
-    packets or whole ones.
-    """
+    """The classes of a vertical lidar's points, by the stamps of its clouds, packets or whole."""
 
     def __init__(self, bag: Bag, topic: str = CLASSES_TOPIC) -> None:
         self.topic = topic
         self._bag = bag
-        log_time_ns, stamp_ns, _ = read_headers(bag, topic)
-        self._log_time_ns = dict(zip(stamp_ns.tolist(), log_time_ns.tolist(), strict=True))
+        log_time_ns, stamps, _ = read_headers(bag, topic)
+        self._log_time_ns = dict(zip(stamps.tolist(), log_time_ns.tolist(), strict=True))
 
     def __len__(self) -> int:
         return len(self._log_time_ns)
 
     @property
     def frame_id(self) -> str:
-        """The frame of its lidar."""
+        """The frame of the lidar."""
         first = self._bag.deserialize(next(self._bag.messages([self.topic])))
         return str(first.header.frame_id).removeprefix("/")
 
     def at(self, stamp: int, places: int = 0) -> UInt8Array | None:
-        """Classes (points of the cloud,) uint8 in the cloud's order; None where the bag has none for this stamp.
+        """Read the classes (points of the cloud,) uint8; None where there are none for this stamp.
 
-        places: of the whole cloud, whose packets are joined, the first of them with this stamp.
+        places: number of points of the whole cloud, whose packets are joined.
         Raises CloudError where the message has no field `truth`.
         """
         log_time_ns = self._log_time_ns.get(stamp)
         if log_time_ns is None:
             return None
         parts: list[UInt8Array] = []
-        for own_stamp, classes in self._read(log_time_ns, None):
+        for own_stamp, classes in self._read(log_time_ns):
             if own_stamp == stamp or parts:
                 parts.append(classes)
             if parts and sum(map(len, parts)) >= places:
@@ -85,11 +86,11 @@ class TruthClasses:
         return np.concatenate(parts)
 
     def __iter__(self) -> Iterator[tuple[int, UInt8Array]]:
-        """Stamp in nanoseconds and classes of each cloud, in the bag's order."""
-        return self._read(None, None)
+        """Yield stamp in nanoseconds and classes of each cloud, in the bag's order."""
+        return self._read()
 
-    def _read(self, start_ns: int | None, stop_ns: int | None) -> Iterator[tuple[int, UInt8Array]]:
-        for raw in self._bag.messages([self.topic], start_ns, stop_ns):
+    def _read(self, start_ns: int | None = None) -> Iterator[tuple[int, UInt8Array]]:
+        for raw in self._bag.messages([self.topic], start_ns):
             message = self._bag.deserialize(raw)
             layout = describe_layout(message, self.topic, needed=("truth",))
             yield stamp_ns(message), points_of(message, layout)["truth"].astype(np.uint8)
@@ -102,9 +103,9 @@ def carries_truth(path: BagPath | Path) -> bool:
 
 
 def read_truth(bag: Bag) -> Truth | None:
-    """The bag's truth; None where it carries none. The bag must stay open while classes are read.
+    """Read the ground truth; None without any. The bag must stay open while classes are read.
 
-    Raises InputError where the truth is damaged.
+    Raises InputError where it is damaged.
     """
     has = {name: topic for name, topic in bag.topics.items() if topic.count}
     classes = tuple(TruthClasses(bag, topic.name) for topic in all_numbered(has, CLASSES_TOPIC))
@@ -119,13 +120,12 @@ def read_truth(bag: Bag) -> Truth | None:
 
 def _building(bag: Bag) -> dict[str, Any]:
     message = bag.deserialize(next(bag.messages([BUILDING_TOPIC])))
+    where, advice = f"{bag.path.name}: {BUILDING_TOPIC}", "simulate the bag again"
     try:
         building = json.loads(message.data)
     except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{bag.path.name}: {BUILDING_TOPIC} is no GeoJSON ({error}); simulate the bag again"
-        ) from error
+        raise InputError(f"{where} is no GeoJSON ({error}); {advice}") from error
     if not isinstance(building, dict) or building.get("type") != "FeatureCollection":
-        raise InputError(f"{bag.path.name}: {BUILDING_TOPIC} is no GeoJSON FeatureCollection; simulate the bag again")
-    check_features(building, "building", f"{bag.path.name}: {BUILDING_TOPIC}", "simulate the bag again")
+        raise InputError(f"{where} is no GeoJSON FeatureCollection; {advice}")
+    check_features(building, "building", where, advice)
     return building

@@ -15,7 +15,8 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.app import cli
 from ffmap.loaders.bag import open_bag
-from ffmap.loaders.rig import Rig, find_rig
+from ffmap.loaders.find_rig import find_rig
+from ffmap.loaders.rig import Rig
 
 FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
 _WITH_SIGINT = "import os, signal, sys; signal.signal(signal.SIGINT, signal.{}); os.execv(sys.argv[1], sys.argv[1:])"

@@ -13,9 +13,10 @@ from ffmap.loaders.cloud_checks import clock_problem, gap_problem, stamp_problem
 from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.cloud_index import CloudIndex
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.numbered import numbered
 from ffmap.loaders.own_body import without_own_body
-from ffmap.loaders.rig import Lidar, MountCorrection, Rig, find_rig
+from ffmap.loaders.rig import Lidar, MountCorrection, Rig
 from ffmap.loaders.scan_order import ScanOrder
 from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
 

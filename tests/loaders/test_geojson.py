@@ -31,9 +31,9 @@ def test_what_a_building_has() -> None:
     ("geometry", "properties", "words"),
     [
         (SILL, {}, "properties.kind"),
-        (SILL, {"kind": "door"}, "a door is a linestring with a state"),
-        (OUTLINE, {"kind": "door", "state": "open"}, "a door is a linestring"),
-        (SILL, {"kind": "room"}, "a room is a polygon"),
+        (SILL, {"kind": "door"}, "a door is a LineString with a state"),
+        (OUTLINE, {"kind": "door", "state": "open"}, "a door is a LineString"),
+        (SILL, {"kind": "room"}, "a room is a Polygon"),
         (SILL, {"kind": "door", "state": "open", "leaves": [[[0, 0]]]}, "leaves"),
         (SILL, {"kind": "wall", "height": "high"}, "height"),
         ({"type": "LineString", "coordinates": [[0.0, 0.0], []]}, {"kind": "wall"}, "coordinates"),

@@ -9,7 +9,7 @@ import pytest
 from ffmap.algorithms.base.scan import Scan
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.cloud_index import index_clouds
-from ffmap.loaders.rig import find_rig
+from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.scans import SkippedScan, read_messages, read_scans
 from ffmap.loaders.sensors.livox import livox_message
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, header, write_bag

@@ -13,8 +13,8 @@ from ffmap.algorithms.base.scan import Scan
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.cloud_index import index_clouds
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.info import describe_bag
-from ffmap.loaders.rig import find_rig
 from ffmap.loaders.scans import read_messages, read_scans
 from ffmap.loaders.sensors import ouster
 from tests.loaders.bag_builder import START_NS, Entry, clouds, tf_message, write_bag

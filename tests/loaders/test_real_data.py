@@ -8,8 +8,8 @@ import pytest
 
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.cloud_index import index_clouds
+from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.info import describe_bag
-from ffmap.loaders.rig import find_rig
 from ffmap.loaders.scans import read_scans
 from ffmap.loaders.trajectory_file import read_tum
 
