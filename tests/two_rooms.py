@@ -10,7 +10,7 @@ from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import BuildingSettings, Doors, Walls, Windows, one_door
 from ffmap.algorithms.building.ray_evidence import trace_rays
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.maps.grid import Immobile
+from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features, concatenate
 from tests.tracing import rays_alone
@@ -180,7 +180,7 @@ class TwoRooms:
         none = np.zeros(0)
         immobile = Immobile(
             walls=self.walls,
-            cells=trace_rays(self.walls, [features], BuildingSettings()),
+            cells=trace_rays(both_sides(self.walls), [features], BuildingSettings()),
             votes=votes.votes(),
             doors=doors if doors is not None else self.doors,
             windows=windows

@@ -16,14 +16,14 @@ from ffmap.algorithms.maps.area_graph import (
     sides_of,
 )
 from ffmap.algorithms.maps.floor_plan import FloorPlan, draw_floor_plan
-from ffmap.algorithms.maps.grid import (
-    GridMap,
-    GridMapSettings,
+from ffmap.algorithms.maps.free_space import draw_free
+from ffmap.algorithms.maps.furniture_free import (
     Immobile,
+    both_sides,
     draft_furniture_free,
-    draw_free,
     standing_stretches,
 )
+from ffmap.algorithms.maps.grid import GridMap, GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival, draft_rival
 
 
@@ -52,31 +52,35 @@ class Maps:
     plan: FloorPlan
 
 
-def draw_maps(building: Building, scans: AllScans, settings: MapsSettings, workers: int) -> Maps:
-    """workers: number of threads that draw."""
+def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Maps:
+    """Draw all maps of a building."""
     doors, windows, knee_m = building.model.doors, building.model.windows, settings.building.knee_m
-    # The grid shows what lies farther away than what doors and windows are told by.
-    cells = scans.trace(building.model.walls, settings.building.for_faces(), NO_WINDOWS)
+    # Rays that passed windows count here: the grid shows what is farther away as well.
+    faces = both_sides(building.model.walls)
+    cells = scans.trace(faces, settings.building.for_faces(), NO_WINDOWS)
     immobile = Immobile(building.model.walls, cells, scans.votes, doors, windows)
-    drafts = [draft_furniture_free(immobile, scans.drive, settings.grid_map, settings.wall_thickness, knee_m)]
-    for rival in Rival:
-        drafts.append(draft_rival(rival, scans.rivals, windows, scans.drive, settings.grid_map))
-    grid, *drawn = draw_free(drafts, scans.drive, settings.grid_map, knee_m, workers)
-    standing = standing_stretches(immobile, settings.grid_map, knee_m)
+    standing = standing_stretches(immobile, knee_m)
+    places = [immobile.walls.ends, doors.ends, scans.path_map]
+    frame = GridMap.around(places, settings.grid_map.cell_m)
+    drafts = [
+        draft_furniture_free(
+            immobile, standing, frame, settings.grid_map, settings.wall_thickness
+        ),
+        *(draft_rival(rival, scans.rivals, frame, windows) for rival in Rival),
+    ]
+    reach_m = settings.grid_map.floor_reach_m
+    grid, *drawn = draw_free(drafts, frame, scans.drive, reach_m, knee_m)
+    rivals = dict(zip(Rival, drawn, strict=True))
     bounds = (standing, *sides_of(doors), windows)
-    rooms = find_rooms(grid, settings.area_graph, doorways_of(doors), windows.ends, scans.drive.path_map, bounds)
-    # All maps show what the furniture-free one does: a slice catches returns far outside, through windows.
-    rivals = {rival: own.cropped_to(grid) for rival, own in zip(Rival, drawn, strict=True)}
-    plan = draw_floor_plan(
-        standing, immobile, grid, scans.storey, settings.wall_thickness, rooms.rooms
-    )
-    return Maps(grid, rooms, rivals, _compare_rooms(rivals[Rival.MIDDLE], scans, settings), plan)
-
-
-def _compare_rooms(normal: GridMap, scans: AllScans, settings: MapsSettings) -> dict[Segmented, AreaGraph]:
-    """Rooms of the normal map (Fig. 10), with and without alpha removal."""
-    path_map, as_is = scans.drive.path_map, settings.area_graph.without_alpha_removal()
-    return {
+    path_map, ways = scans.drive.path_map, doorways_of(doors)
+    rooms = find_rooms(grid, settings.area_graph, ways, windows.ends, path_map, bounds)
+    # Rooms of the normal map (Fig. 10), with and without alpha removal.
+    normal, as_is = rivals[Rival.MIDDLE], settings.area_graph.without_alpha_removal()
+    compared_rooms = {
         Segmented.NORMAL: find_rooms(normal, settings.area_graph, path_map=path_map),
         Segmented.NORMAL_AS_IS: find_rooms(normal, as_is, path_map=path_map),
     }
+    plan = draw_floor_plan(
+        standing, immobile, grid, scans.storey, settings.wall_thickness, rooms.rooms
+    )
+    return Maps(grid, rooms, rivals, compared_rooms, plan)

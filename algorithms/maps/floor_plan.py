@@ -22,7 +22,8 @@ from ffmap.algorithms.building.thickness import (
 )
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.areas import closed, grown
-from ffmap.algorithms.maps.grid import Cell, GridMap, Immobile
+from ffmap.algorithms.maps.furniture_free import Immobile
+from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
 
 _COLUMN_MAX_M = 1.2

@@ -9,10 +9,11 @@ from enum import StrEnum
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import Windows
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
-from ffmap.algorithms.maps.grid import Draft, GridMapSettings, draft_cells
+from ffmap.algorithms.maps.free_space import Draft
+from ffmap.algorithms.maps.furniture_free import draft_cells
+from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
@@ -81,16 +82,11 @@ class RivalCounter:
         return self._table.votes()
 
 
-def draft_rival(
-    rival: Rival,
-    votes: VoxelVotes,
-    windows: Windows,
-    drive: Drive,
-    settings: GridMapSettings,
-) -> Draft:
-    """One of the maps as a grid, to be drawn like the furniture-free one but for what is occupied.
+def draft_rival(rival: Rival, votes: VoxelVotes, frame: GridMap, windows: Windows) -> Draft:
+    """Draw one of the maps.
 
-    votes: sums of `RivalCounter.votes`. windows: behind them nothing is free; the paper removed that by hand.
+    votes: sums of `RivalCounter.votes`. windows: nothing behind them is free, as in the
+    furniture-free map; the paper removed it by hand.
     """
     occupied = votes.counts[:, list(Rival).index(rival)] >= _HITS_MIN
-    return draft_cells(votes.cube_index[occupied, :2], windows, drive, settings)
+    return draft_cells((votes.cube_index[occupied, :2] + 0.5) * frame.cell_m, frame, windows)

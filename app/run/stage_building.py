@@ -55,7 +55,7 @@ def build(run: Run, scans: LabelledScans, trajectory: Trajectory) -> tuple[Build
 
 def draw(run: Run, building: Building, gathered: AllScans) -> Maps:
     """The building's maps, written; its walls and doors too, for each door names the rooms that it joins."""
-    maps = draw_maps(building, gathered, run.settings.maps, run.options.workers)
+    maps = draw_maps(building, gathered, run.settings.maps)
     _write(run, building, maps)
     return maps
 

@@ -26,7 +26,7 @@ MAPS = MapsSettings(
 def test_two_rooms_are_two_rooms_and_every_map_shows_the_same_extent(closed: bool) -> None:
     rooms = TwoRooms(closed=closed)
     scans = driven(rooms)
-    maps = draw_maps(fuse_building(scans, SETTINGS), scans, MAPS, 1)
+    maps = draw_maps(fuse_building(scans, SETTINGS), scans, MAPS)
     assert len(maps.rooms) == 2
     assert set(maps.compared_rooms) == set(Segmented) - {Segmented.FURNITURE_FREE}
     assert set(maps.rivals) == set(Rival)

@@ -22,7 +22,8 @@ from ffmap.algorithms.building.thickness import (
 )
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.floor_plan import FloorPlan, draw_floor_plan
-from ffmap.algorithms.maps.grid import GridMapSettings, standing_stretches
+from ffmap.algorithms.maps.furniture_free import standing_stretches
+from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.scan.doors import DoorState
 from tests.drawing import draw_furniture_free
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
@@ -40,7 +41,7 @@ def plan_of(rooms: TwoRooms, floor_m: float = 0.0) -> FloorPlan:
     table.add(features.ray_end_map + np.float32([0.0, 0.0, floor_m]), features.ray_label)
     immobile = replace(immobile, votes=table.votes())
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS, KNEE_M)
-    stretches = standing_stretches(immobile, GridMapSettings(), KNEE_M)
+    stretches = standing_stretches(immobile, KNEE_M)
     storey = Storey.of(immobile.votes, (), LevelsSettings())
     return draw_floor_plan(stretches, immobile, grid, storey, THICKNESS)
 

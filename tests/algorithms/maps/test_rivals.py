@@ -9,7 +9,8 @@ from ffmap.algorithms.base.trajectory import PlacedScan, place_scan
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
-from ffmap.algorithms.maps.grid import Cell, GridMapSettings, draw_free
+from ffmap.algorithms.maps.free_space import draw_free
+from ffmap.algorithms.maps.grid import Cell, GridMap, GridMapSettings
 from ffmap.algorithms.maps.rivals import _HITS_MIN, Rival, RivalCounter, RivalReturns, draft_rival
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.summary import extract
@@ -98,16 +99,14 @@ def test_without_a_ceiling_there_is_no_slice(scans):
 def test_rivals_are_drawn_and_freed_by_rays(scans):
     blocks = [extract(i, *scan) for i, scan in enumerate(scans)]
     drive = Drive(np.array([placed.origin_level for placed, _ in scans]), lambda: blocks)
+    votes, path = counted(scans), drive.path_map[:, :2]
     for rival in Rival:
-        (grid,) = draw_free(
-            [draft_rival(rival, counted(scans), NO_WINDOWS, drive, GridMapSettings())],
-            drive,
-            GridMapSettings(),
-            KNEE_M,
-        )
+        frame = GridMap.around([cells_of(votes, rival), path], CELL_M)
+        draft = draft_rival(rival, votes, frame, NO_WINDOWS)
+        (grid,) = draw_free([draft], frame, drive, GridMapSettings().floor_reach_m, KNEE_M)
         np.testing.assert_allclose(
             np.sort(grid.centres(Cell.OCCUPIED), axis=0).mean(axis=0),
-            cells_of(counted(scans), rival).mean(axis=0),
+            cells_of(votes, rival).mean(axis=0),
             atol=0.1,
         )
         assert np.count_nonzero(grid.cells == Cell.FREE) > 1000

@@ -17,7 +17,8 @@ from ffmap.algorithms.maps.area_graph import (
     find_rooms,
     sides_of,
 )
-from ffmap.algorithms.maps.grid import GridMapSettings, standing_stretches
+from ffmap.algorithms.maps.furniture_free import standing_stretches
+from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.room_outlines import Sides, lay_on_faces
 from tests.drawing import draw_furniture_free
 from tests.two_rooms import SIZE_M, TwoRooms
@@ -55,7 +56,7 @@ def faces_of(room: shapely.Polygon, short_m: float = 0.0) -> Sides:
 def building(rooms: TwoRooms, with_faces: bool) -> AreaGraph:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings(), KNEE_M)
-    faces = (standing_stretches(immobile, GridMapSettings(), KNEE_M), *sides_of(immobile.doors), immobile.windows)
+    faces = (standing_stretches(immobile, KNEE_M), *sides_of(immobile.doors), immobile.windows)
     bounds = faces if with_faces else ()
     doorways = doorways_of(immobile.doors)
     return find_rooms(grid, AreaGraphSettings(), doorways, immobile.windows.ends, drive.path_map, bounds)

@@ -22,7 +22,8 @@ from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.building.windows import WindowsSettings, find_windows
-from ffmap.algorithms.maps.grid import Cell, GridMapSettings, Immobile
+from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
+from ffmap.algorithms.maps.grid import Cell, GridMapSettings
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
@@ -266,7 +267,8 @@ def test_the_building_of_several_scans_has_its_walls_and_its_door(depth: float |
     depth_m = door_depths(doors, walls, part_walls(walls, thickness), thickness, settings.reveal_m, doors.reveal_m)
     doors = replace(doors, reveal_m=depth_m)
     drive = Drive(np.array([[-1.0, 0.0], [1.5, 0.0]]), lambda: [features])
-    immobile = Immobile(walls, cells, VoxelTable(0.05, len(Label)).votes(), doors, windows)
+    of_both = trace_rays(both_sides(walls), [features], BuildingSettings())
+    immobile = Immobile(walls, of_both, VoxelTable(0.05, len(Label)).votes(), doors, windows)
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), thickness, KNEE_M)
 
     def at(x: float, y: float) -> int:

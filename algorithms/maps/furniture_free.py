@@ -1,0 +1,258 @@
+"""What the furniture-free grid shows as occupied: walls as thin lines, doorways cut out (Fig. 9b)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.segments import Segment, lengthened, segments
+from ffmap.algorithms.building.model import (
+    AT_FACE_M,
+    CELL_M,
+    Doors,
+    Walls,
+    Windows,
+    cells_in,
+    stretches,
+)
+from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, WallCells, returns_at_face
+from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
+from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.maps.free_space import Draft
+from ffmap.algorithms.maps.grid import GridMap, GridMapSettings
+from ffmap.algorithms.scan.doors import DoorState
+
+_RAYS_MIN = 3
+"""Minimum returns, or voxels of wall, that support a column (5 cm) of a wall's face."""
+_BRIDGE_M = 0.25
+"""Maximum gap (m) between supported columns that is closed."""
+_DOOR_MARGIN_M = 0.1
+"""Free space (m) of a doorway beyond both sides of its wall."""
+_DOOR_GUESSED_M = 0.3
+"""Minimum depth (m) of a doorway whose wall's thickness is not measured."""
+_GAP_MAX_M = 0.6
+"""Maximum width (m) of a gap beside or in a window's wall that is no passage."""
+_PASSED_RAYS_MIN, _PASSED_RATIO = 6, 2.0
+"""Minimum rays that pass a face below the knee where it is open: in all, and for each return."""
+_SILL_MIN_M = 0.3
+"""Minimum height (m) of a window's sill above the floor."""
+_RECESS_MAX_M, _RECESS_BESIDE_M = 0.6, 0.12
+"""Maximum depth (m) of a window's recess, and distance (m) of its sides from the window's ends."""
+_LEAF_ABOVE_M = 0.3
+"""Maximum height (m) of an open leaf's face above its door's head."""
+_LEAF_BESIDE_M = 0.1
+"""Maximum distance (m) from the doorway of the reveal that an open leaf's face continues."""
+_NO_FACES: FloatArray = np.zeros((0, 2, 2))
+
+
+@dataclass(frozen=True)
+class Immobile:
+    """The fixed structure of a building.
+
+    cells: what rays found of `both_sides` of the walls, see `trace_rays`. votes: all scans' labels
+    by voxel, which reach farther.
+    """
+
+    walls: Walls
+    cells: WallCells
+    votes: VoxelVotes
+    doors: Doors
+    windows: Windows
+
+
+def both_sides(walls: Walls) -> Walls:
+    """Faces of walls, then the same faces as seen from behind."""
+    return walls.append(replace(walls, normal=-walls.normal))
+
+
+def draft_furniture_free(
+    immobile: Immobile,
+    standing: Walls,
+    frame: GridMap,
+    settings: GridMapSettings,
+    thickness: WallThicknessSettings,
+) -> Draft:
+    """Draw each visible side of a wall as a line, and cut doorways through the whole wall.
+
+    The inside of walls stays unknown, and so do panes, which block rays.
+
+    standing: see `standing_stretches`.
+    """
+    doors = immobile.doors
+    occupied = np.zeros(frame.cells.shape, bool)
+    for ends in standing.ends:
+        occupied[frame.on_line(ends)] = True
+    doorways = _doorways(immobile, thickness, frame.cell_m)
+    for doorway in doorways:
+        occupied[frame.in_area(doorway)] = False
+    behind = doors.ends - (doors.reveal_m[:, None] * doors.normal)[:, None]
+    for reveal in np.stack([doors.ends, behind], axis=2).reshape(-1, 2, 2):
+        occupied[frame.on_line(reveal)] = True
+    shut = np.full(len(doors), settings.doors == "closed")
+    if settings.doors == "as-seen":
+        shut = doors.state == DoorState.CLOSED
+    open_ways = [doorway for doorway, is_shut in zip(doorways, shut, strict=True) if not is_shut]
+    blocked = _blocked(occupied, frame, immobile.windows, immobile.walls.ends, open_ways)
+    # Leaves block no rays: those that passed an open door showed the room behind it.
+    leaves = doors.ends - (np.nan_to_num(doors.depth_m)[:, None] * doors.normal)[:, None]
+    return Draft(occupied, blocked, open_ways, list(leaves[shut]), hides_walls=True)
+
+
+def draft_cells(places: FloatArray, frame: GridMap, windows: Windows) -> Draft:
+    """Draw a map whose occupied cells are at places (n, 2), without any door."""
+    occupied = np.zeros(frame.cells.shape, bool)
+    occupied[frame.at(places)] = True
+    return Draft(occupied, _blocked(occupied, frame, windows))
+
+
+def standing_stretches(immobile: Immobile, knee_m: float) -> Walls:
+    """Cut walls into the stretches that returns support and that reach down to the floor.
+
+    Left out are:
+    - what rays passed below the knee, from either side: an opening, or a beam;
+    - what nothing was seen of, as behind a pillar;
+    - the reveals of windows, below which the wall continues;
+    - the leaves of open doors.
+    """
+    walls, cells = immobile.walls, immobile.cells
+    first, behind = cells.first[: len(walls) + 1], cells.first[len(walls) :]
+    voted = immobile.votes.mean_position[immobile.votes.label == Label.WALL, :2]
+    tree = cKDTree(voted) if len(voted) else None
+    owner: list[int] = []
+    found: list[FloatArray] = []
+    for w, face in enumerate(segments(walls)):
+        counts = cells.counts[first[w] : first[w + 1]].astype(np.float64)
+        counts_behind = cells.counts[behind[w] : behind[w + 1]].astype(np.float64)
+        supported = _near(returns_at_face(counts)) >= _RAYS_MIN
+        missing = _passed(counts, counts_behind, knee_m)
+        middles = face.at((np.arange(len(supported)) + 0.5) * CELL_M)
+        if tree is not None:
+            near = tree.query_ball_point(middles, AT_FACE_M, return_length=True)
+            supported |= near >= _RAYS_MIN
+        missing |= _in_window_reveal(middles, face.normal, immobile.windows)
+        # A face without scans of its own was proven by all scans together: it is no leaf.
+        if walls.scan_count[w]:
+            missing |= _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
+        supported &= ~missing
+        # A face ends at a corner, up to which it is continued as over any other gap.
+        bordered = np.concatenate([[True], supported, [True]])
+        for start, last in stretches(bordered, cells_in(_BRIDGE_M)):
+            columns = np.arange(max(start - 1, 0), min(last, len(supported)))
+            if not supported[columns].any():
+                continue
+            for a, b in stretches(~missing[columns], 0):
+                ends_m = [columns[a] * CELL_M, min((columns[b] + 1) * CELL_M, face.length_m)]
+                owner.append(w)
+                found.append(face.at(np.array(ends_m)))
+    chosen = walls.select(np.array(owner, np.int64))
+    return replace(chosen, ends=np.array(found).reshape(-1, 2, 2))
+
+
+def _near(rays: FloatArray) -> FloatArray:
+    """(c,) rays of each column of cells (c, rows) and the two beside it."""
+    return np.convolve(rays.sum(axis=1), np.ones(3))[1:-1]
+
+
+def _passed(front: FloatArray, behind: FloatArray, knee_m: float) -> BoolArray:
+    """(c,) whether rays from either side passed the columns of a face between foot and knee."""
+    low = slice(FOOT_ROW, cells_in(knee_m))
+    on = sum(_near(returns_at_face(counts[:, low])) for counts in (front, behind))
+    through = sum(_near(counts[:, low, THROUGH]) for counts in (front, behind))
+    return np.asarray((through >= _PASSED_RAYS_MIN) & (through > _PASSED_RATIO * on))
+
+
+def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) -> BoolArray:
+    """(c,) whether places (c, 2) of a face are in the recess of a window with a sill."""
+    within = np.zeros(len(places), bool)
+    for window, bottom_m in zip(segments(windows), windows.bottom_m, strict=True):
+        if bottom_m < _SILL_MIN_M or abs(normal @ window.normal) > 0.9:  # parallel, to 26°
+            continue
+        behind_m = -window.before_m(places)
+        in_recess = (behind_m > 0) & (behind_m < _RECESS_MAX_M)
+        within |= in_recess & window.beside(places, _RECESS_BESIDE_M)
+    return within
+
+
+def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors) -> BoolArray:
+    """(c,) which places (c, 2) of a face belong to an open leaf, beyond the reveal it continues.
+
+    A face is a leaf if it is within a leaf's length of a jamb, and as high as the door.
+    """
+    leaf = np.zeros(len(places), bool)
+    may_be = (doors.state == DoorState.OPEN) & (top_m < doors.head_m + _LEAF_ABOVE_M)
+    for doorway, reveal_m in zip(
+        segments(doors.select(may_be)), doors.reveal_m[may_be], strict=True
+    ):
+        behind_m = -doorway.before_m(places)
+        beyond = (behind_m < -_LEAF_BESIDE_M) | (behind_m > reveal_m + _LEAF_BESIDE_M)
+        reach_m = doorway.length_m + reveal_m + _LEAF_BESIDE_M
+        for jamb in doorway.at(np.array([0.0, doorway.length_m])):
+            if np.linalg.norm(places - jamb, axis=1).max() < reach_m:
+                leaf |= beyond
+    return leaf
+
+
+def _doorways(
+    immobile: Immobile, thickness: WallThicknessSettings, inset_m: float
+) -> list[FloatArray]:
+    """(4, 2) corners of what each doorway leaves free, from before the wall to behind it."""
+    doors = immobile.doors
+    parts = part_walls(immobile.walls, thickness)
+    # Where the thickness is a guess, or a leaf hid the wall's other side, a doorway rather ends in
+    # the room behind.
+    guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall])
+    guessed |= doors.state == DoorState.CLOSED
+    depth_m = np.where(guessed, np.maximum(doors.reveal_m, _DOOR_GUESSED_M), doors.reveal_m)
+    doorways = []
+    for sill, behind_m in zip(segments(doors), depth_m, strict=True):
+        left, right = sill.at(np.array([inset_m, sill.length_m - inset_m]))
+        front, back = _DOOR_MARGIN_M * sill.normal, -(behind_m + _DOOR_MARGIN_M) * sill.normal
+        doorways.append(np.array([left + front, right + front, right + back, left + back]))
+    return doorways
+
+
+def _blocked(
+    occupied: BoolArray,
+    frame: GridMap,
+    windows: Windows,
+    faces: FloatArray = _NO_FACES,
+    doorways: Sequence[FloatArray] = (),
+) -> BoolArray:
+    """What blocks rays: occupied cells, panes, and gaps beside panes that nobody could pass.
+
+    What glass shows is not part of the building. faces: (F, 2, 2) of walls, some with windows.
+    """
+    blocked = occupied.copy()
+    for ends in windows.ends:
+        blocked[frame.on_line(ends)] = True
+    passages = shapely.MultiPolygon([shapely.Polygon(corners) for corners in doorways])
+    middles = windows.ends.mean(axis=1)
+    for ends in faces:
+        face = Segment.between(ends)
+        in_face = (np.abs(face.before_m(middles)) < AT_FACE_M) & face.beside(middles)
+        if (in_face & (np.abs(windows.normal @ face.along) < 0.1)).any():
+            _close_gaps(blocked, face, frame, passages)
+    for ends in lengthened(windows.ends, _GAP_MAX_M):
+        _close_gaps(blocked, Segment.between(ends), frame, passages)
+    return blocked
+
+
+def _close_gaps(
+    blocked: BoolArray, line: Segment, frame: GridMap, passages: shapely.Geometry
+) -> None:
+    """Block the gaps along a line that are narrow, and no passage."""
+    step_m = frame.cell_m / 4
+    places = line.at(np.linspace(0.0, line.length_m, int(line.length_m / step_m) + 2))
+    closed = np.zeros(len(places), bool)
+    for side in (-1, 0, 1):
+        index, _ = frame.index(places + side * frame.cell_m * line.normal)
+        column, row = np.clip(index, 0, np.array(blocked.shape[::-1]) - 1).T
+        closed |= blocked[row, column]
+    for first, last in stretches(~closed, 0):
+        bounded = first > 0 and last < len(places) - 1 and (last - first) * step_m < _GAP_MAX_M
+        if bounded and not passages.intersects(shapely.LineString(places[[first, last]])):
+            blocked[frame.on_line(places[[first - 1, last + 1]])] = True
