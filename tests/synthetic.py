@@ -12,7 +12,7 @@ from ffmap.algorithms.scan.labelling import LabellingSettings, MethodSettings
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
 from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
-from ffmap.algorithms.scan.wall_planes import WallPlanesSettings
+from ffmap.algorithms.scan.wall_candidates import WallPlanesSettings
 
 RINGS = 32
 LOW_M = np.array([-6.0, -2.5, 0.0])

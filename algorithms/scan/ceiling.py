@@ -4,83 +4,100 @@ import numba
 import numpy as np
 from scipy.ndimage import binary_erosion
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
-from ffmap.algorithms.scan.rearrangement import HEIGHT_BIN_M, HorizontalPlane, RearrangementSettings, refine_plane
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.scan.floor import Floor
+from ffmap.algorithms.scan.rearrangement import (
+    HEIGHT_BIN_M,
+    HorizontalPlane,
+    RearrangementSettings,
+    refine_plane,
+)
 
-_HEIGHT_MAX_M = 50.0
-"""Maximum height in metres above the floor of a ceiling; a damaged return may be higher."""
-_FURTHER_SHARE_MIN = 0.004
-"""Minimum share of the scan's returns on a further ceiling, seen through a door. III.A."""
-_HYPOTHESES = 500
-"""Number of RANSAC hypotheses for each ceiling. III.A."""
-_CEILINGS_MAX = 3
-"""Maximum number of ceilings in a scan; rooms seen through doors have their own. III.A."""
+_HEIGHT_MAX_M = 50.0  # maximum height (m) of a ceiling; a damaged return may be higher
+_RETURNS = 8_000  # number of returns in use: they find a plane and place it to a millimetre
+_HYPOTHESES = 500  # RANSAC hypotheses for each ceiling
+_CEILINGS_MAX = 3  # rooms that are seen through doors have their own ceilings
+_FURTHER_SHARE_MIN = 0.004  # minimum share of the scan's returns on a further ceiling
+_FURTHER_SUPPORT_MIN = 0.2  # its minimum support, as a share of the largest ceiling's
+_SUPPORT_MIN = 30  # minimum number of returns on any ceiling
+_TURN_MAX = 0.03  # maximum slope (m per m) against its hypothesis
+_RANGE_MAX_M = 20.0  # maximum horizontal range (m) of returns that it is fitted to
 
 
 def find_ceilings(
-    points_level: FloatArray, height_m: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
+    points_level: FloatArray,
+    height_m: FloatArray,
+    floor: Floor,
+    settings: RearrangementSettings,
+    seed: int,
 ) -> tuple[HorizontalPlane, ...]:
-    """The ceilings by RANSAC: the biggest planes parallel to the floor or level, high above it and well supported.
+    """Find the largest planes that are parallel to the floor, or level, and high above it.
 
-    A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis. The largest is the
-    ceiling. A further one is taken only where it can be no duct or lamp: above the largest, or as broad as a room.
+    A plane parallel to a given one has one unknown, its height, so one return makes a hypothesis.
+    The largest plane is the ceiling. Further ones are ceilings only where they cannot be a duct or
+    a lamp: above the largest, or as broad as a room.
 
-    points_level: (n, 3); height_m: (n,) of these above the floor; seed: of the hypotheses.
+    height_m: (n,) of the points (n, 3) above the floor; seed: of the hypotheses.
     """
-    # 8000 returns find a plane and place it to a millimetre.
-    points, stride = _thinned(points_level, height_m, settings.ceiling_height_min_m, 8_000)
-    # Heights above planes parallel to the floor, and above level ones where the floor slopes by more than a hundredth.
+    high = (height_m > settings.ceiling_height_min_m) & (height_m < _HEIGHT_MAX_M)
+    rows = np.flatnonzero(high)
+    stride = max(1, len(rows) // _RETURNS)
+    points = points_level[rows[::stride]].astype(np.float64)
+    # Heights above planes parallel to the floor; above a level one too, where the floor slopes.
     slopes = [*floor.slopes]
     if all(np.hypot(*slope) >= 0.01 for slope in slopes):
         slopes.append(np.zeros(2))
     parallel = [points[:, 2] - floor.height_m - points[:, :2] @ slope for slope in slopes]
+    distance_m = settings.ceiling_distance_m
     generator = np.random.default_rng(seed)
     ceilings: list[HorizontalPlane] = []
     for _ in range(_CEILINGS_MAX + 1):
         share = _FURTHER_SHARE_MIN if ceilings else settings.ceiling_support_min
-        support_min = max(30, int(share * len(points_level) / stride))
+        support_min = max(_SUPPORT_MIN, int(share * len(points_level) / stride))
         if len(points) < support_min or len(ceilings) == _CEILINGS_MAX:
             break
-        found = [
-            _ransac_height(heights, settings.ceiling_distance_m, generator) for heights in parallel
-        ]
+        found = [_ransac_height(heights, distance_m, generator) for heights in parallel]
         best = int(np.argmax([support for _, support in found]))
         heights, (centre_m, support) = parallel[best], found[best]
         if support < support_min:
             break
-        on_plane = np.abs(heights - centre_m) < settings.ceiling_distance_m
-        found_m = floor.height_m + centre_m
+        ceiling_m = floor.height_m + centre_m
+        off_m = np.abs(heights - centre_m)
         if (
             not ceilings
-            or found_m > ceilings[0].height_m
-            or (support > 0.2 * ceilings[0].support and _is_broad(points[on_plane]))
+            or ceiling_m > ceilings[0].height_m
+            or (
+                support > _FURTHER_SUPPORT_MIN * ceilings[0].support
+                and _is_broad(points[off_m < distance_m])
+            )
         ):
-            ceilings.append(refine_plane(points, found_m, slopes[best], settings.ceiling_distance_m, 0.03, 20.0))
-        # What touches a plane that was tried is not tried again.
-        rest = np.abs(heights - centre_m) > 1.5 * settings.ceiling_distance_m
+            plane = refine_plane(
+                points, ceiling_m, slopes[best], distance_m, _TURN_MAX, _RANGE_MAX_M
+            )
+            ceilings.append(plane)
+        # Returns that touch this plane make no further hypothesis.
+        rest = off_m > 1.5 * distance_m
         parallel, points = [heights[rest] for heights in parallel], points[rest]
     return tuple(ceilings)
-
-
-def below_ceiling(points_level: FloatArray, planes: FloatArray) -> FloatArray:
-    """How far (n,) float32 points (n, 3) lie below the ceiling nearest in height, negative above; planes as `plane_rows`.
-
-    Infinite where there is no ceiling.
-    """
-    return np.asarray(_below(points_level, np.ascontiguousarray(planes, np.float64)))
 
 
 def _ransac_height(
     heights_m: FloatArray, distance_m: float, generator: np.random.Generator
 ) -> tuple[float, int]:
-    """The best of the hypotheses, as the mean height of its returns, and how many they are."""
+    """The best of the hypotheses: the mean height of its returns, and their number."""
+    cell = ((heights_m - heights_m.min()) / HEIGHT_BIN_M).astype(np.int64)
+    below = np.concatenate([[0], np.cumsum(np.bincount(cell))])  # number of returns below a cell
     chosen = generator.integers(0, len(heights_m), _HYPOTHESES)
-    mean_m, count = _best_height(heights_m, chosen, distance_m, HEIGHT_BIN_M)
-    return float(mean_m), int(count)
+    reach = max(1, round(distance_m / HEIGHT_BIN_M))
+    above = np.minimum(cell[chosen] + reach + 1, len(below) - 1)
+    support = below[above] - below[np.maximum(cell[chosen] - reach, 0)]
+    best_m = heights_m[chosen[np.argmax(support)]]
+    near = np.abs(heights_m - best_m) < distance_m
+    return float(heights_m[near].mean()), int(np.count_nonzero(near))
 
 
 def _is_broad(points: FloatArray) -> bool:
-    """Whether the ground below returns of one height is a metre wide somewhere: below a duct it is not.
+    """Whether the ground below returns of one height is a metre wide somewhere, as below no duct.
 
     The walls that reach that height are only lines on this ground.
     """
@@ -91,64 +108,25 @@ def _is_broad(points: FloatArray) -> bool:
         return False
     covered = np.zeros(size, bool)
     covered[cell[:, 0], cell[:, 1]] = True
-    # A duct of 40 cm, and the wall beside it, cover up to four cells across.
+    # A duct of 40 cm and the wall beside it cover up to four cells across.
     return bool(binary_erosion(covered, np.ones((5, 5), bool)).sum() >= 4)
 
 
-@numba.njit(cache=True, nogil=True)
-def _thinned(
-    points: FloatArray, above_m: FloatArray, low_m: float, most: int
-) -> tuple[FloatArray, int]:  # pragma: no cover
-    """Every n-th of the points from `low_m` to `_HEIGHT_MAX_M`, (k, 3) float64, and n.
+def below_ceiling(points_level: FloatArray, planes: FloatArray) -> FloatArray:
+    """Distance (n,) float32 of points (n, 3) below the ceiling nearest in height, negative above.
 
-    Not many more than `most`.
+    planes: (c, 3) as from `plane_rows`; the distance is infinite where there is none.
     """
-    count = 0
-    for i in range(len(points)):
-        count += low_m < above_m[i] < _HEIGHT_MAX_M
-    stride = max(1, count // most)
-    kept = np.empty(((count + stride - 1) // stride, 3))
-    place, left_out = 0, 0
-    for i in range(len(points)):
-        if low_m < above_m[i] < _HEIGHT_MAX_M:
-            if left_out == 0:
-                kept[place, 0], kept[place, 1], kept[place, 2] = points[i, 0], points[i, 1], points[i, 2]
-                place, left_out = place + 1, stride
-            left_out -= 1
-    return kept, stride
-
-
-@numba.njit(cache=True, nogil=True)
-def _best_height(
-    heights_m: FloatArray, chosen: IntArray, distance_m: float, bin_m: float
-) -> tuple[float, int]:  # pragma: no cover
-    """Of the heights that are chosen as hypotheses the one near which most lie: the mean of these, and how many they are."""
-    lowest, highest = heights_m.min(), heights_m.max()
-    histogram = np.zeros(int((highest - lowest) / bin_m) + 2, np.int64)
-    for height in heights_m:
-        histogram[int((height - lowest) / bin_m) + 1] += 1
-    cumulative = np.cumsum(histogram)
-    reach, last = max(1, round(distance_m / bin_m)), len(histogram) - 1
-    best_m, most = 0.0, -1
-    for row in chosen:
-        cell = int((heights_m[row] - lowest) / bin_m)
-        support = cumulative[min(cell + reach + 1, last)] - cumulative[max(cell - reach, 0)]
-        if support > most:
-            best_m, most = heights_m[row], support
-    total, count = 0.0, 0
-    for height in heights_m:
-        if abs(height - best_m) < distance_m:
-            total += height
-            count += 1
-    return total / count, count
+    return np.asarray(_below(points_level, np.ascontiguousarray(planes, np.float64)))
 
 
 @numba.njit(cache=True, nogil=True)
 def _below(points: FloatArray, planes: FloatArray) -> FloatArray:  # pragma: no cover
     below = np.full(len(points), np.inf, np.float32)
     for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
         for c in range(len(planes)):
-            b = planes[c, 0] + planes[c, 1] * points[i, 0] + planes[c, 2] * points[i, 1] - points[i, 2]
+            b = planes[c, 0] + planes[c, 1] * x + planes[c, 2] * y - points[i, 2]
             if abs(b) < abs(below[i]):
                 below[i] = b
     return below

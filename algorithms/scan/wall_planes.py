@@ -5,123 +5,67 @@ from enum import IntEnum
 
 import numba
 import numpy as np
-from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
+from ffmap.algorithms.scan.wall_candidates import (
+    OVERHANG_M,
+    Reach,
+    WallCandidates,
+    WallPlanesSettings,
+    choose_candidates,
+)
 
 _SPREADS = 1.5
-"""Distance of a candidate's ends from its mean, in standard deviations; its moments do not hold them.
-
-For evenly spread samples it is √3; less, so that a few odd samples do not lengthen the plane.
-"""
-_UPPER_PART_M = 0.4
-"""Height (m) of the upper part of a candidate that is fitted: no leaf or furniture stands before
-it. III.B."""
-_OVERHANG_M = 0.2
-"""Minimum depth (m) of a soffit, a vault or a roof over a candidate, which closes up to the
-ceiling: leaves and blinds stand less deep in their openings, and what lies above furniture is
-farther. III.B."""
-_GAP_M_PER_M = 0.15
-"""Added to the gap for each metre of range, for emitters spread apart. Alg. 1."""
-
-
-class WallPlanesSettings(StepSettings):
-    """Growing wall planes from candidates (paper, III.B, Algorithm 1)."""
-
-    similarity_m: float = Field(
-        0.05,
-        gt=0,
-        le=1,
-        description="σ_th: maximum RMS distance (m) of a candidate from the plane that it joins. Alg. 1.",
-    )
-    reach_m: float = Field(
-        0.35,
-        gt=0,
-        description="Maximum distance (m) below a ceiling at which a candidate ends: walls meet the ceiling. III.B.",
-    )
-    height_min_m: float = Field(
-        2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is in view. III.B."
-    )
-    bottom_max_m: float = Field(
-        2.2,
-        gt=0,
-        description="Maximum height above the floor (m) of a wall's lower edge, above a door; what ends higher is a duct. "
-        "III.B.",
-    )
-    gap_m: float = Field(0.3, gt=0, description="Maximum gap (m) between neighbouring lines of a plane. Alg. 1.")
-    merge_gap_m: float = Field(
-        1.5,
-        ge=0,
-        description="Maximum gap (m) between planes in line that are joined: a line that broke the plane is bridged. Alg. 1.",
-    )
-    lines_min: int = Field(3, ge=2, description="Minimum number of lines in a wall plane. Alg. 1.")
-    length_min_m: float = Field(0.15, ge=0, description="Minimum length (m) of a wall plane; columns are walls. III.B.")
+"""Distance of a candidate's ends from its mean, in standard deviations: √3 for evenly spread
+samples; less, so that a few odd samples do not lengthen a plane."""
 
 
 class Growth(IntEnum):
     """What became of a candidate in Algorithm 1."""
 
-    SEEDED = 0  # it started a plane
+    SEEDED = 0  # it began a plane
     JOINED = 1  # it was similar to the current plane and joined it
-    BROKE = 2  # it was not similar: the current plane was closed, and this candidate became the next seed
+    BROKE = 2  # it was not similar: it closed the current plane and began the next
     REFUSED = 3  # it does not reach the ceiling and was left out
 
 
-class Reach(IntEnum):
-    """Whether a candidate is as high as a wall, and by what."""
-
-    LOW = 0  # it ends too far below the ceiling, or too low where none is in view: it is refused
-    CEILING = 1  # it ends close to a ceiling
-    ABOVE_CEILINGS = 2  # it ends above the highest ceiling in view: another is there
-    HEIGHT = 3  # no ceiling is in view, and it is high enough
-    TURNS_BACK = 4  # its line has next to no returns of a ceiling: it may turn back, or the view end, below it
-    OVERHUNG = 5  # what its line meets above it touches it and comes nearer, up to a ceiling: a soffit, a vault, a roof
-
-
 class Membership(IntEnum):
-    """Whether a candidate is in a wall plane in the end, and why it is not."""
+    """Whether a candidate is in a wall plane in the end, or why it is not."""
 
     IN_PLANE = 0
     REFUSED = 1  # it does not reach the ceiling
     ALONE = 2  # no plane of enough lines is similar and near
-    FEW_LINES = 3  # its plane has too few lines left once each candidate went to the nearest one
+    FEW_LINES = 3  # its plane has too few lines, once each candidate is in the nearest plane
     SHORT = 4  # its plane is too short
-    ROUGH = 5  # its plane's samples lie too far from it
+    ROUGH = 5  # its plane's samples are too far from it
     DUCT = 6  # its plane ends high above the floor in all of its lines
 
 
 @dataclass(frozen=True)
 class WallPlanes:
-    """The wall planes of one scan, all upright: normal · (x, y) = offset_m, in the level frame.
+    """The wall planes (K,) of a scan, all upright: normal · (x, y) = offset_m in the level frame.
 
     normal: (K, 2) unit vectors towards the sensor.
-    offset_m: (K,)
-    ends: (K, 2, 2) x and y of its two ends along the plane.
-    bottom_m, top_m: (K,) heights that its candidates span.
-    rms_m: (K,) of its candidates' samples about it.
-    line_count, point_count: (K,) candidates and samples in it.
-    moments: (K, 6) its samples' n, Σx, Σy, Σxx, Σxy, Σyy, from which planes of many scans can be fused.
+    ends: (K, 2, 2) x and y of both ends.
+    bottom_m, top_m: heights above the floor that its candidates span.
+    rms_m: of its candidates' samples about it.
+    line_count, point_count: number of candidates and samples.
+    moments: (K, 6) n, Σx, Σy, Σxx, Σxy, Σyy of its samples, from which planes are fused.
 
-    The growing, one row for each candidate, in the order in which Algorithm 1 met it:
-    candidate_structure: (C,) the vertical structure, by its index in `VerticalStructures`.
-    candidate_line: (C,) its point line.
-    candidate_growth: (C,) uint8, see `Growth`.
-    candidate_plane: (C,) index of the plane that holds it in the end, -1 where none does.
-    candidate_distance_m: (C,) Θ, its distance to the plane that it was compared with; NaN where there was none.
-    candidate_reach: (C,) uint8, see `Reach`.
-    candidate_below_ceiling_m: (C,) how far it ends below the ceiling that is nearest to its end in height, negative
-        above; NaN where no ceiling is in view.
-    candidate_gap_m: (C,) horizontal distance to the candidate before it in the plane that it was compared with; NaN
+    The growing, one row for each candidate (C,) in the order of Algorithm 1:
+    candidate_structure, candidate_line: its vertical structure and point line.
+    candidate_reach, candidate_below_ceiling_m, candidate_gap_max_m: as in `WallCandidates`.
+    candidate_growth: uint8, see `Growth`.
+    candidate_distance_m: Θ, its distance from the plane that it was compared with.
+    candidate_gap_m: horizontal distance from the last candidate of that plane; both are NaN where
+        there was none.
+    candidate_grown: number of the plane that Algorithm 1 grew it into, -1 where it was refused.
+    candidate_nearest_m: Θ to the nearest plane within reach, once planes in line were joined; NaN
         where there was none.
-    candidate_gap_max_m: (C,) the largest such distance that would do.
-    candidate_grown: (C,) number of the plane that Algorithm 1 grew it into, before planes in line were joined and small
-        ones dropped; -1 where it was refused.
-    candidate_nearest_m: (C,) Θ to the nearest plane within reach when each candidate went to the nearest; NaN where
-        none was.
-    candidate_membership: (C,) uint8, see `Membership`.
+    candidate_plane: its plane in the end, -1 where it is in none.
+    candidate_membership: uint8, see `Membership`.
     """
 
     normal: FloatArray
@@ -155,37 +99,70 @@ def grow_wall_planes(
     samples: IntArray,
     structures: VerticalStructures,
     ceilings: tuple[HorizontalPlane, ...],
-    floor: HorizontalPlane,
     meets_ceiling: BoolArray,
     settings: WallPlanesSettings,
 ) -> WallPlanes:
-    """Algorithm 1, repaired.
+    """Algorithm 1, repaired; parameters as of `choose_candidates`.
 
-    As printed it drops the candidate after each seed, the one that breaks a plane, and the last plane; here the
-    breaking candidate seeds the next plane and the last plane is kept. Θ, which the paper leaves open, is the RMS
-    distance of the candidate's samples to the plane; Ω is the upright plane of least squares. Planes that one odd line
-    has cut are joined again, and each candidate then goes to the nearest plane of the scan.
-
-    samples: (L, 200) the returns of each point line from below upwards, from `make_point_lines`.
-    structures: the vertical structures of those lines.
-    ceilings, floor: of this scan in the level frame; no ceilings where none is in view.
-    meets_ceiling: (L,) whether each line has more than a few stray returns of a ceiling.
+    As printed, it drops the candidate after each seed, the candidate that breaks a plane, and the
+    last plane. Here the breaking candidate seeds the next plane, and the last plane is kept. Ω is
+    the upright plane of least squares. Θ, which the paper leaves open, is the RMS distance of a
+    candidate's samples from the plane. Planes that one odd line has cut are joined, and each
+    candidate then moves to the nearest plane.
     """
-    candidates = _choose_candidates(returns, samples, structures, ceilings, floor, meets_ceiling, settings)
+    candidates = choose_candidates(returns, samples, structures, ceilings, meets_ceiling, settings)
     moments, reaches = candidates.moments, candidates.reach != Reach.LOW
     grown, growth, distance_m, gap_m = _grow(
         moments, candidates.part, reaches, candidates.gap_max_m, settings.similarity_m
     )
-    settled, nearest_m, membership = _settle(grown, moments, reaches, candidates.gap_max_m, settings)
-    bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], settled, np.inf)
-    for k in np.flatnonzero(bottom_m >= settings.bottom_max_m):
-        bottom_m[k] = _bottom_behind(int(k), settled, returns, samples, structures, candidates, settings)
-    plane = _renumbered(settled, bottom_m < settings.bottom_max_m)
-    membership[(settled >= 0) & (plane < 0)] = Membership.DUCT
+    plane, nearest_m = _settle(grown, candidates, reaches, settings)
+    total, lines, fits = _fit_planes(plane, moments, grown.max(initial=0) + 1, settings.lines_min)
+    normal, offset_m, rms_m, length_m = fits[:, :2], fits[:, 2], fits[:, 3], fits[:, 5] - fits[:, 4]
+    bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, len(fits))
+    top_m = _per_plane(np.maximum, structures.top_m[candidates.structure], plane, len(fits))
+
+    fails = [
+        lines < settings.lines_min,
+        length_m < settings.length_min_m,
+        rms_m > settings.similarity_m,
+    ]
+    reasons = [Membership.FEW_LINES, Membership.SHORT, Membership.ROUGH]
+    verdict = np.select(fails, reasons, Membership.IN_PLANE)
+    for k in np.flatnonzero((verdict == Membership.IN_PLANE) & (bottom_m >= settings.bottom_max_m)):
+        own = candidates.structure[plane == k]
+        behind = _structures_behind(returns, samples, structures, own, fits[k], settings)
+        lowest = behind if len(behind) >= settings.lines_min else own
+        if structures.bottom_m[lowest].min() >= settings.bottom_max_m:
+            verdict[k] = Membership.DUCT
+    # In no plane is -1, the last row of what is appended to.
+    membership = np.where(reaches, np.append(verdict, Membership.ALONE)[plane], Membership.REFUSED)
+    is_wall = verdict == Membership.IN_PLANE
+    plane = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)[plane].astype(np.int32)
+
+    before_m = normal @ returns.origin_level[:2] - offset_m
+    towards_sensor = np.where(before_m > 0, 1.0, -1.0)[is_wall]
+    normal, offset_m = normal[is_wall] * towards_sensor[:, None], offset_m[is_wall] * towards_sensor
+    along = np.column_stack([-normal[:, 1], normal[:, 0]])
+    extents = _extents(
+        returns.points_level,
+        samples[candidates.line],
+        candidates.first,
+        candidates.last,
+        plane,
+        normal,
+    )
     return WallPlanes(
-        *_fit_planes(returns, samples, structures, candidates, plane),
-        candidate_structure=candidates.structure.astype(np.int32),
-        candidate_line=candidates.upper[:, 0].astype(np.int32),
+        normal=normal,
+        offset_m=offset_m,
+        ends=(normal * offset_m[:, None])[:, None] + along[:, None] * extents[:, :, None],
+        bottom_m=bottom_m[is_wall],
+        top_m=top_m[is_wall],
+        rms_m=rms_m[is_wall],
+        line_count=lines[is_wall].astype(np.int32),
+        point_count=total[is_wall, 0].astype(np.int32),
+        moments=total[is_wall],
+        candidate_structure=candidates.structure,
+        candidate_line=candidates.line,
         candidate_growth=growth,
         candidate_plane=plane,
         candidate_distance_m=distance_m,
@@ -195,273 +172,18 @@ def grow_wall_planes(
         candidate_gap_max_m=candidates.gap_max_m,
         candidate_grown=grown,
         candidate_nearest_m=nearest_m,
-        candidate_membership=membership,
-    )
-
-
-@dataclass(frozen=True)
-class _Candidates:
-    """The candidates (C,) in the order of Algorithm 1.
-
-    structure: the vertical structure of each. part: the part of the walk that it is in.
-    upper: (C, 3) its point line, and its upper part's lowest and highest sample. moments: (C, 6) n, Σx, Σy, Σxx, Σxy, Σyy of
-        that part.
-    reach, below_ceiling_m, gap_max_m: as of `WallPlanes`.
-    """
-
-    structure: IntArray
-    part: IntArray
-    upper: IntArray
-    moments: FloatArray
-    reach: UInt8Array
-    below_ceiling_m: FloatArray
-    gap_max_m: FloatArray
-
-
-def _choose_candidates(
-    returns: Returns,
-    samples: IntArray,
-    structures: VerticalStructures,
-    ceilings: tuple[HorizontalPlane, ...],
-    floor: HorizontalPlane,
-    meets_ceiling: BoolArray,
-    settings: WallPlanesSettings,
-) -> _Candidates:
-    """Up-most structures, and others that end at a ceiling; parameters as of `grow_wall_planes`."""
-    is_upmost = structures.upmost[structures.line] == np.arange(len(structures.line))
-    tops_level = returns.points_level[samples[structures.line, structures.last]]
-    reach, below_ceiling_m = _reach_of(tops_level, structures.top_m, ceilings, floor, settings)
-    low = np.flatnonzero(is_upmost & (structures.top_m > 0.5 * settings.height_min_m) & (reach == Reach.LOW))
-    lines, tops, origin = structures.line[low], structures.last[low], returns.origin_level[:2]
-    ends_level = returns.points_level[samples[lines, -1]]
-    end_reach, _ = _reach_of(ends_level, floor.heights_above(ends_level), ceilings, floor, settings)
-    overhung = _overhung(returns.points_level, samples, lines, tops, origin)
-    overhung &= end_reach != Reach.LOW
-    reach[low[overhung]] = Reach.OVERHUNG
-    # Through an opening a line shows the wall of the next room below the lintel: what ends at a ceiling is a candidate
-    # too, though it is not the up-most.
-    chosen = np.flatnonzero(is_upmost | ((reach != Reach.LOW) & (len(ceilings) > 0)))
-    # Algorithm 1 walks along the wall: emitter by emitter on one side, then on the other; up-most structures first.
-    line = structures.line[chosen]
-    walk = np.lexsort((line, line % 2, ~is_upmost[chosen]))
-    chosen, line = chosen[walk], line[walk]
-    # A line that sweeps a wall ahead in a circle may turn back below the ceiling, and a column ends where the lidar opens no
-    # further: it has next to no returns of the ceiling.
-    turns_back = ~meets_ceiling[line] & is_upmost[chosen] & (structures.top_m[chosen] > 0.5 * settings.height_min_m)
-    spans = np.stack([line, structures.first[chosen], structures.last[chosen]], axis=1)
-    moments, upper = _upper_parts(returns.points_level, returns.height_m, samples, spans)
-    x0, y0 = returns.origin_level[:2]
-    range_m = np.hypot(moments[:, 1] / moments[:, 0] - x0, moments[:, 2] / moments[:, 0] - y0)
-    return _Candidates(
-        structure=chosen,
-        part=line % 2 + 2 * ~is_upmost[chosen],
-        upper=upper,
-        moments=moments,
-        reach=np.where((reach[chosen] == Reach.LOW) & turns_back, np.uint8(Reach.TURNS_BACK), reach[chosen]),
-        below_ceiling_m=below_ceiling_m[chosen],
-        gap_max_m=settings.gap_m + _GAP_M_PER_M * range_m,
-    )
-
-
-def _reach_of(
-    top_level: FloatArray,
-    top_m: FloatArray,
-    ceilings: tuple[HorizontalPlane, ...],
-    floor: HorizontalPlane,
-    settings: WallPlanesSettings,
-) -> tuple[UInt8Array, FloatArray]:
-    """`Reach` of each structure but for lines that turn back, and how far it ends below the nearest ceiling."""
-    if not ceilings:
-        reach = np.where(top_m >= settings.height_min_m, Reach.HEIGHT, Reach.LOW)
-        return reach.astype(np.uint8), np.full(len(top_m), np.nan)
-    below_m = np.array([ceiling.height_at(top_level) - top_level[:, 2] for ceiling in ceilings])
-    nearest_m = below_m[np.abs(below_m).argmin(axis=0), np.arange(len(top_m))]
-    # Above the highest ceiling in view may be another that is not.
-    highest_m = np.max([c.height_at(top_level) - floor.height_at(top_level) for c in ceilings], axis=0)
-    reach = np.select(
-        [np.abs(nearest_m) < settings.reach_m, top_m > highest_m], [Reach.CEILING, Reach.ABOVE_CEILINGS], Reach.LOW
-    )
-    return reach.astype(np.uint8), nearest_m
-
-
-@numba.njit(cache=True, nogil=True)
-def _overhung(
-    points: FloatArray, samples: IntArray, line: IntArray, last: IntArray, origin: FloatArray
-) -> BoolArray:  # pragma: no cover
-    """(s,) whether what each structure's line meets above it touches it, is no farther and no lower, and comes nearer.
-
-    No ray passes above such a structure: over furniture, and below what hangs before a wall, there are such. line, last: (s,) of
-    some structures, the line and the highest sample. Of ten samples above one may be stray, by a
-    quarter of `_OVERHANG_M`.
-    """
-    overhung = np.zeros(len(line), np.bool_)
-    for s in range(len(line)):
-        own = samples[line[s]]
-        top = own[last[s]]
-        rho, z = np.hypot(points[top, 0] - origin[0], points[top, 1] - origin[1]), points[top, 2]
-        above = len(own) - 1 - last[s]
-        if above < 3:
-            continue
-        stray, nearest = 0, rho
-        for j in range(last[s] + 1, len(own)):
-            rho_j, z_j = np.hypot(points[own[j], 0] - origin[0], points[own[j], 1] - origin[1]), points[own[j], 2]
-            if j == last[s] + 1 and np.hypot(rho_j - rho, z_j - z) > _OVERHANG_M:
-                stray = above
-            stray += rho_j > rho + 0.25 * _OVERHANG_M or z_j < z - 0.25 * _OVERHANG_M
-            nearest = min(nearest, rho_j)
-        overhung[s] = nearest < rho - _OVERHANG_M and 10 * stray <= above
-    return overhung
-
-
-def _renumbered(plane: IntArray, kept: BoolArray) -> IntArray:
-    """The plane (C,) of each candidate by its number among those planes (P,) that are kept, -1 for others."""
-    return np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)[plane].astype(np.int32)
-
-
-def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, start: float) -> FloatArray:
-    reduced = np.full(int(plane.max(initial=-1)) + 1, start)
-    reduce.at(reduced, plane[plane >= 0], values[plane >= 0])
-    return reduced
-
-
-def _bottom_behind(
-    plane: int,
-    settled: IntArray,
-    returns: Returns,
-    samples: IntArray,
-    structures: VerticalStructures,
-    candidates: _Candidates,
-    settings: WallPlanesSettings,
-) -> float:
-    """Height (m) of a plane's lowest end: a wall goes on below what hangs before it, a valance or a duct.
-
-    settled: (C,) the plane of each candidate; this one ends high in all of its lines.
-    """
-    own = settled == plane
-    behind = _behind(
-        returns.points_level,
-        samples,
-        np.stack([structures.line, structures.first, structures.last], axis=1),
-        candidates.structure[own],
-        fit_upright_plane(candidates.moments[own].sum(axis=0))[:3],
-        returns.origin_level[:2],
-        settings.similarity_m,
-    )
-    lowest_m = structures.bottom_m[candidates.structure[own] if len(behind) < settings.lines_min else behind]
-    return float(lowest_m.min())
-
-
-@numba.njit(cache=True, nogil=True)
-def _behind(
-    points: FloatArray,
-    samples: IntArray,
-    spans: IntArray,
-    upper: IntArray,
-    plane: tuple[float, float, float],
-    origin: FloatArray,
-    similarity_m: float,
-) -> IntArray:  # pragma: no cover
-    """The structures in a plane that something nearer parts from those above them in their lines, one for each such line.
-
-    spans: (S, 3) line, first and last sample of each structure, line by line from below upwards. upper: (u,) the structures above.
-    plane: its normal and offset.
-    """
-    nx, ny, offset = plane
-    found = np.empty(len(upper), np.int64)
-    count = 0
-    for u in upper:
-        s = u - 1
-        while s >= 0 and spans[s, 0] == spans[u, 0]:
-            own = samples[spans[s, 0]]
-            off = 0.0
-            for j in range(spans[s, 2] - 9, spans[s, 2] + 1):
-                off = max(off, abs(nx * points[own[j], 0] + ny * points[own[j], 1] - offset))
-            top = own[spans[s, 2]]
-            rho, nearest = np.hypot(points[top, 0] - origin[0], points[top, 1] - origin[1]), np.inf
-            for j in range(spans[s, 2] + 1, spans[u, 1]):
-                nearest = min(nearest, np.hypot(points[own[j], 0] - origin[0], points[own[j], 1] - origin[1]))
-            if off < 2.0 * similarity_m and nearest < rho - _OVERHANG_M:
-                found[count] = s
-                count += 1
-                break
-            s -= 1
-    return found[:count]
-
-
-def _fit_planes(
-    returns: Returns, samples: IntArray, structures: VerticalStructures, candidates: _Candidates, plane: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray]:
-    """The first nine fields of `WallPlanes`, from the plane (C,) of each candidate."""
-    count = int(plane.max(initial=-1)) + 1
-    total, lines = _totals(plane, candidates.moments, count)
-    normal, offset_m, rms_m = _fit_all(total, np.ascontiguousarray(returns.origin_level[:2]))
-    low, high = _extents(returns.points_level, samples, candidates.upper, plane, normal)
-    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-    foot = normal * offset_m[:, None]
-    return (
-        normal,
-        offset_m,
-        np.stack([foot + along * low[:, None], foot + along * high[:, None]], axis=1),
-        _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, np.inf),
-        _per_plane(np.maximum, structures.top_m[candidates.structure], plane, -np.inf),
-        rms_m,
-        lines.astype(np.int32),
-        total[:, 0].astype(np.int32),
-        total,
+        candidate_membership=membership.astype(np.uint8),
     )
 
 
 @numba.njit(cache=True, nogil=True)
-def _extents(
-    points: FloatArray, samples: IntArray, upper: IntArray, plane: IntArray, normal: FloatArray
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
-    low = np.full(len(normal), np.inf)
-    high = np.full(len(normal), -np.inf)
-    for c in range(len(plane)):
-        k = plane[c]
-        if k < 0:
-            continue
-        for s in range(upper[c, 1], upper[c, 2] + 1):
-            i = samples[upper[c, 0], s]
-            u = -normal[k, 1] * points[i, 0] + normal[k, 0] * points[i, 1]
-            low[k] = min(low[k], u)
-            high[k] = max(high[k], u)
-    return low, high
-
-
-@numba.njit(cache=True, nogil=True)
-def _upper_parts(
-    points: FloatArray, height: FloatArray, samples: IntArray, spans: IntArray
-) -> tuple[FloatArray, IntArray]:  # pragma: no cover
-    """n, Σx, Σy, Σxx, Σxy, Σyy of each candidate's upper part, and that part's line, lowest and highest sample.
-
-    spans: (C, 3) line, first and last sample of each candidate.
-    """
-    moments = np.zeros((len(spans), 6))
-    upper = spans.copy()
-    for c in range(len(spans)):
-        line, first, last = spans[c, 0], spans[c, 1], spans[c, 2]
-        top = height[samples[line, last]]
-        s = last
-        while s >= first and (last - s < 10 or height[samples[line, s]] > top - _UPPER_PART_M):
-            i = samples[line, s]
-            x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
-            moments[c, 0] += 1.0
-            moments[c, 1] += x
-            moments[c, 2] += y
-            moments[c, 3] += x * x
-            moments[c, 4] += x * y
-            moments[c, 5] += y * y
-            s -= 1
-        upper[c, 1] = s + 1
-    return moments, upper
-
-
-@numba.njit(cache=True, nogil=True)
-def fit_upright_plane(m: FloatArray) -> tuple[float, float, float, float, float]:  # pragma: no cover
+def fit_upright_plane(
+    m: FloatArray,
+) -> tuple[float, float, float, float, float]:  # pragma: no cover
     """Ω: the upright plane of least squares from moments n, Σx, Σy, Σxx, Σxy, Σyy.
 
-    Returns its normal's x and y, its offset, the RMS distance of the points and their RMS spread along it, in metres.
+    Returns its normal's x and y, its offset, the RMS distance of the points from it and their RMS
+    spread along it, in metres.
     """
     mx, my = m[1] / m[0], m[2] / m[0]
     vxx = max(m[3] / m[0] - mx * mx, 0.0)
@@ -475,78 +197,98 @@ def fit_upright_plane(m: FloatArray) -> tuple[float, float, float, float, float]
 
 @numba.njit(cache=True, nogil=True)
 def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:  # pragma: no cover
-    """Θ: RMS distance of a candidate, given by its moments, to a plane."""
-    mean_square = (nx * nx * m[3] + 2.0 * nx * ny * m[4] + ny * ny * m[5] - 2.0 * offset * (nx * m[1] + ny * m[2])) / m[
-        0
-    ] + offset * offset
-    return float(np.sqrt(max(mean_square, 0.0)))
+    """Θ: RMS distance of the samples of a candidate, given by their moments, from a plane."""
+    square = nx * nx * m[3] + 2.0 * nx * ny * m[4] + ny * ny * m[5]
+    square -= 2.0 * offset * (nx * m[1] + ny * m[2])
+    return float(np.sqrt(max(square / m[0] + offset * offset, 0.0)))
 
 
 @numba.njit(cache=True, nogil=True)
 def _grow(
-    moments: FloatArray, side: IntArray, reaches: BoolArray, gap_max_m: FloatArray, similarity_m: float
+    moments: FloatArray,
+    part: IntArray,
+    reaches: BoolArray,
+    gap_max_m: FloatArray,
+    similarity_m: float,
 ) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:  # pragma: no cover
-    """Algorithm 1: each candidate's plane (-1 where it is refused), its `Growth`, Θ and the gap, both NaN for a seed.
+    """Algorithm 1: the plane (C,) of each candidate, its `Growth`, its Θ and its gap.
 
-    moments: (C, 6) in the order of the walk. side: (C,) the part of the walk; no plane goes on from one to the next.
-    reaches: (C,) whether it is high enough. gap_max_m: (C,) metres.
+    moments, part, gap_max_m: as of `WallCandidates`. reaches: (C,) whether it is high enough.
     """
-    count = len(moments)
-    plane = np.full(count, -1, np.int32)
-    growth = np.full(count, Growth.REFUSED, np.uint8)
-    distance = np.full(count, np.nan)
-    gap = np.full(count, np.nan)
-    current = np.zeros(6)
+    plane = np.full(len(moments), -1, np.int32)
+    growth = np.full(len(moments), Growth.REFUSED, np.uint8)
+    distance, gap = np.full(len(moments), np.nan), np.full(len(moments), np.nan)
+    P = np.zeros(6)  # the current plane's moments
     lines, number, last = 0, -1, -1
-    for c in range(count):
-        if not reaches[c]:
+    for i in range(len(moments)):
+        if not reaches[i]:
             continue
-        joined = False
-        if lines > 0 and side[last] == side[c]:
-            dx = moments[c, 1] / moments[c, 0] - moments[last, 1] / moments[last, 0]
-            dy = moments[c, 2] / moments[c, 0] - moments[last, 2] / moments[last, 0]
+        compared = lines > 0 and part[last] == part[i]
+        joins = False
+        if compared:
             if lines == 1:
                 # One line has no direction yet: the plane is that of seed and candidate together.
-                nx, ny, offset, rms, _ = fit_upright_plane(current + moments[c])
-                distance[c] = rms
+                distance[i] = fit_upright_plane(P + moments[i])[3]
             else:
-                nx, ny, offset, _, _ = fit_upright_plane(current)
-                distance[c] = _theta(moments[c], nx, ny, offset)
-            gap[c] = np.hypot(dx, dy)
-            joined = distance[c] < similarity_m and gap[c] < gap_max_m[c]
-        if joined:
-            growth[c] = Growth.JOINED
-            current += moments[c]
+                nx, ny, offset, _, _ = fit_upright_plane(P)
+                distance[i] = _theta(moments[i], nx, ny, offset)
+            dx = moments[i, 1] / moments[i, 0] - moments[last, 1] / moments[last, 0]
+            dy = moments[i, 2] / moments[i, 0] - moments[last, 2] / moments[last, 0]
+            gap[i] = np.hypot(dx, dy)
+            joins = distance[i] < similarity_m and gap[i] < gap_max_m[i]
+        if joins:
+            growth[i] = Growth.JOINED
+            P += moments[i]
             lines += 1
         else:
-            growth[c] = Growth.BROKE if lines > 0 and side[last] == side[c] else Growth.SEEDED
-            current = moments[c].copy()
+            growth[i] = Growth.BROKE if compared else Growth.SEEDED
+            P = moments[i].copy()
             lines = 1
             number += 1
-        plane[c] = number
-        last = c
+        plane[i] = number
+        last = i
     return plane, growth, distance, gap
 
 
+def _settle(
+    grown: IntArray, candidates: WallCandidates, reaches: BoolArray, settings: WallPlanesSettings
+) -> tuple[IntArray, FloatArray]:
+    """Join planes in line, then move each candidate to the nearest plane of enough lines.
+
+    Returns the plane (C,) of each candidate, -1 for none, and Θ to the nearest within reach.
+    """
+    moments, count = candidates.moments, grown.max(initial=0) + 1
+    plane, lines_min = grown.copy(), settings.lines_min
+    _join_in_line(plane, moments, count, settings.similarity_m, settings.merge_gap_m, lines_min)
+    x, y = (moments[:, 1:3] / moments[:, :1]).T[:, :, None]
+    # Twice, because the first time moves the planes.
+    for _ in range(2):
+        _, _, fits = _fit_planes(plane, moments, count, lines_min)
+        nx, ny, _, _, low, high = fits.T
+        u, gap_m = nx * y - ny * x, candidates.gap_max_m[:, None]
+        beside = reaches[:, None] & (u >= low - gap_m) & (u <= high + gap_m)
+        theta = np.where(beside, _thetas(moments, fits), np.inf)
+        nearest_m = theta.min(axis=1)
+        plane = np.where(nearest_m < settings.similarity_m, theta.argmin(axis=1), -1)
+    return plane, np.where(np.isfinite(nearest_m), nearest_m, np.nan)
+
+
 @numba.njit(cache=True, nogil=True)
-def _span(moments: FloatArray, members: BoolArray, nx: float, ny: float) -> tuple[float, float]:  # pragma: no cover
-    """Least and largest place along the plane that its members' upper parts reach, metres: mean ± `_SPREADS` × spread."""
-    low, high = np.inf, -np.inf
+def _thetas(moments: FloatArray, fits: FloatArray) -> FloatArray:  # pragma: no cover
+    """Θ (C, P) of each candidate to each plane."""
+    theta = np.empty((len(moments), len(fits)))
     for c in range(len(moments)):
-        if members[c]:
-            m = moments[c]
-            u = (-ny * m[1] + nx * m[2]) / m[0]
-            spread = np.sqrt(max((ny * ny * m[3] - 2 * nx * ny * m[4] + nx * nx * m[5]) / m[0] - u * u, 0.0))
-            low = min(low, u - _SPREADS * spread)
-            high = max(high, u + _SPREADS * spread)
-    return low, high
+        for k in range(len(fits)):
+            theta[c, k] = _theta(moments[c], fits[k, 0], fits[k, 1], fits[k, 2])
+    return theta
 
 
 @numba.njit(cache=True, nogil=True)
-def _totals(plane: IntArray, moments: FloatArray, planes: int) -> tuple[FloatArray, IntArray]:  # pragma: no cover
-    """The summed moments (P, 6) of the candidates of each plane, and how many they are (P,)."""
-    total = np.zeros((planes, 6))
-    lines = np.zeros(planes, np.int64)
+def _totals(
+    plane: IntArray, moments: FloatArray, count: int
+) -> tuple[FloatArray, IntArray]:  # pragma: no cover
+    """The summed moments (P, 6) of each plane's candidates, and their number (P,)."""
+    total, lines = np.zeros((count, 6)), np.zeros(count, np.int64)
     for c in range(len(plane)):
         if plane[c] >= 0:
             total[plane[c]] += moments[c]
@@ -555,50 +297,89 @@ def _totals(plane: IntArray, moments: FloatArray, planes: int) -> tuple[FloatArr
 
 
 @numba.njit(cache=True, nogil=True)
+def _fit_planes(
+    plane: IntArray, moments: FloatArray, count: int, lines_min: int
+) -> tuple[FloatArray, IntArray, FloatArray]:  # pragma: no cover
+    """`_totals`, and normal, offset, RMS and both ends along it (P, 6) of planes of enough lines.
+
+    Planes of fewer lines begin at infinity.
+    """
+    total, lines = _totals(plane, moments, count)
+    fits = np.zeros((count, 6))
+    fits[:, 4] = np.inf
+    for k in range(count):
+        if lines[k] >= lines_min:
+            nx, ny, offset, rms, _ = fit_upright_plane(total[k])
+            low, high = _span(moments, plane == k, nx, ny)
+            fits[k] = np.array([nx, ny, offset, rms, low, high])
+    return total, lines, fits
+
+
+@numba.njit(cache=True, nogil=True)
+def _span(
+    moments: FloatArray, members: BoolArray, nx: float, ny: float
+) -> tuple[float, float]:  # pragma: no cover
+    """Both ends along a plane of its members' upper parts: mean ± `_SPREADS` × spread."""
+    low, high = np.inf, -np.inf
+    for c in np.flatnonzero(members):
+        m = moments[c]
+        u = (nx * m[2] - ny * m[1]) / m[0]
+        square = (ny * ny * m[3] - 2 * nx * ny * m[4] + nx * nx * m[5]) / m[0]
+        reach = _SPREADS * np.sqrt(max(square - u * u, 0.0))
+        low, high = min(low, u - reach), max(high, u + reach)
+    return low, high
+
+
+@numba.njit(cache=True, nogil=True)
 def _join_in_line(
     plane: IntArray,
     moments: FloatArray,
-    total: FloatArray,
-    lines: IntArray,
+    count: int,
     similarity_m: float,
     merge_gap_m: float,
     lines_min: int,
 ) -> None:  # pragma: no cover
-    """Join planes in line, largest first: a line that stood before the wall has cut it in Algorithm 1.
+    """Join planes in line, largest first: a line before the wall has cut it in Algorithm 1.
 
-    Changes plane (C,), and total (P, 6) and lines (P,) of `_totals`; a plane that has joined another has no lines left.
+    Changes `plane` (C,).
     """
+    total, lines = _totals(plane, moments, count)
     merged = True
     while merged:
-        # A merge changes the sizes: go round again until nothing joins.
+        # A merge changes the sizes: repeat until nothing joins.
         merged = False
         by_size = np.argsort(-total[:, 0])
-        for a in range(len(total)):
+        for a in range(count):
             i = by_size[a]
             if lines[i] < lines_min:
                 continue
-            for b in range(a + 1, len(total)):
-                j = by_size[b]
+            for j in by_size[a + 1 :]:
                 # A single line has no direction that could be the wall's.
-                if lines[j] < 2 or not _are_in_line(plane, moments, total, (i, j), similarity_m, merge_gap_m):
-                    continue
-                plane[plane == j] = i
-                total[i] += total[j]
-                lines[i] += lines[j]
-                total[j] = 0.0
-                lines[j] = 0
-                merged = True
+                if lines[j] >= 2 and _are_in_line(
+                    plane, moments, total, i, j, similarity_m, merge_gap_m
+                ):
+                    plane[plane == j] = i
+                    total[i] += total[j]
+                    lines[i] += lines[j]
+                    total[j] = 0.0
+                    lines[j] = 0
+                    merged = True
 
 
 @numba.njit(cache=True, nogil=True)
 def _are_in_line(
-    plane: IntArray, moments: FloatArray, total: FloatArray, pair: tuple[int, int], similarity_m: float, gap_m: float
+    plane: IntArray,
+    moments: FloatArray,
+    total: FloatArray,
+    larger: int,
+    smaller: int,
+    similarity_m: float,
+    gap_m: float,
 ) -> bool:  # pragma: no cover
-    """Whether one plane fits two, with no more than `gap_m` metres between them; the larger comes first."""
-    larger, smaller = pair
+    """Whether one plane fits two, with a gap of at most `gap_m` metres between them."""
     nx, ny, offset, rms, _ = fit_upright_plane(total[larger] + total[smaller])
-    # Stricter than where a candidate joins: two faces twice `similarity_m` apart would become one between them. The smaller
-    # plane is known less well than the larger.
+    # Stricter than for a candidate, or two faces 2 σ_th apart would become one between them. The
+    # smaller plane is known less well.
     if (
         rms > 0.6 * similarity_m
         or _theta(total[larger], nx, ny, offset) > 0.6 * similarity_m
@@ -610,82 +391,62 @@ def _are_in_line(
     return bool(max(low_i, low_j) - min(high_i, high_j) <= gap_m)
 
 
-@numba.njit(cache=True, nogil=True)
-def _fits(
-    plane: IntArray, moments: FloatArray, total: FloatArray, lines: IntArray, lines_min: int
-) -> FloatArray:  # pragma: no cover
-    """(P, 6) normal, offset, RMS distance and both ends along it; one with too few lines begins at infinity."""
-    fits = np.zeros((len(total), 6))
-    fits[:, 4] = np.inf
-    for i in range(len(total)):
-        if lines[i] >= lines_min:
-            nx, ny, offset, rms, _ = fit_upright_plane(total[i])
-            low, high = _span(moments, plane == i, nx, ny)
-            fits[i] = np.array([nx, ny, offset, rms, low, high])
-    return fits
+def _structures_behind(
+    returns: Returns,
+    samples: IntArray,
+    structures: VerticalStructures,
+    upper: IntArray,
+    fit: FloatArray,
+    settings: WallPlanesSettings,
+) -> IntArray:
+    """The structures of a plane below its upper ones, from which something nearer parts them.
 
-
-@numba.njit(cache=True, nogil=True)
-def _assign_to_nearest(
-    plane: IntArray, moments: FloatArray, reaches: BoolArray, gap_m: FloatArray, fits: FloatArray, similarity_m: float
-) -> FloatArray:  # pragma: no cover
-    """Give every candidate to the nearest plane that has enough lines, whichever plane it was grown into; changes `plane`.
-
-    Returns Θ (C,) to the nearest of those that are beside it, metres; NaN where none is.
+    It is a valance or a duct that hangs before the wall. At most one structure for each line.
+    upper: (u,) the upper structures. fit: the plane's row of `_fit_planes`.
     """
-    distance = np.full(len(plane), np.nan)
+    found = []
+    for u in upper:
+        xy = returns.points_level[samples[structures.line[u]], :2]
+        rho = np.linalg.norm(xy - returns.origin_level[:2], axis=1)
+        for s in range(u - 1, -1, -1):
+            if structures.line[s] != structures.line[u]:
+                break
+            last = structures.last[s]
+            off_m = np.abs(xy[last - 9 : last + 1] @ fit[:2] - fit[2])
+            between = rho[last + 1 : structures.first[u]]
+            hidden = between.min(initial=np.inf) < rho[last] - OVERHANG_M
+            if off_m.max() < 2.0 * settings.similarity_m and hidden:
+                found.append(s)
+                break
+    return np.array(found, np.int64)
+
+
+@numba.njit(cache=True, nogil=True)
+def _extents(
+    points: FloatArray,
+    samples: IntArray,
+    first: IntArray,
+    last: IntArray,
+    plane: IntArray,
+    normal: FloatArray,
+) -> FloatArray:  # pragma: no cover
+    """(K, 2) the least and the largest place along each plane of its candidates' upper samples.
+
+    samples: (C, 200) the candidates' lines. first, last, plane: (C,) of the candidates.
+    """
+    extents = np.empty((len(normal), 2))
+    extents[:, 0], extents[:, 1] = np.inf, -np.inf
     for c in range(len(plane)):
-        if not reaches[c]:
-            continue
-        best, nearest, closest = -1, similarity_m, np.inf
-        for i in range(len(fits)):
-            nx, ny = fits[i, 0], fits[i, 1]
-            u = (-ny * moments[c, 1] + nx * moments[c, 2]) / moments[c, 0]
-            if u < fits[i, 4] - gap_m[c] or u > fits[i, 5] + gap_m[c]:
-                continue
-            theta = _theta(moments[c], nx, ny, fits[i, 2])
-            closest = min(closest, theta)
-            if theta < nearest:
-                best, nearest = i, theta
-        plane[c] = best
-        distance[c] = closest if closest < np.inf else np.nan
-    return distance
+        k = plane[c]
+        if k >= 0:
+            for i in samples[c, first[c] : last[c] + 1]:
+                u = normal[k, 0] * points[i, 1] - normal[k, 1] * points[i, 0]
+                extents[k, 0], extents[k, 1] = min(extents[k, 0], u), max(extents[k, 1], u)
+    return extents
 
 
-def _settle(
-    grown: IntArray, moments: FloatArray, reaches: BoolArray, gap_m: FloatArray, settings: WallPlanesSettings
-) -> tuple[IntArray, FloatArray, UInt8Array]:
-    """Join planes in line, give every candidate to the nearest plane, drop what is too small, number them anew.
-
-    grown: (C,) the plane that Algorithm 1 grew each candidate into, -1 where it refused it. moments: (C, 6) of its upper
-    part. reaches: (C,) whether it is high enough. gap_m: (C,) how far beyond a plane's ends it may be of it.
-    Returns each candidate's plane, its distance to the nearest plane within reach and its `Membership`.
-    """
-    plane, similarity_m, lines_min = grown.copy(), settings.similarity_m, settings.lines_min
-    planes = int(grown.max(initial=-1)) + 1
-    total, lines = _totals(plane, moments, planes)
-    _join_in_line(plane, moments, total, lines, similarity_m, settings.merge_gap_m, lines_min)
-    # Twice, for the first time moves the planes.
-    for _ in range(2):
-        fits = _fits(plane, moments, total, lines, lines_min)
-        distance = _assign_to_nearest(plane, moments, reaches, gap_m, fits, similarity_m)
-        total, lines = _totals(plane, moments, planes)
-    fits = _fits(plane, moments, total, lines, lines_min)
-    fails = [lines < lines_min, fits[:, 5] - fits[:, 4] < settings.length_min_m, fits[:, 3] > similarity_m]
-    reasons = [Membership.FEW_LINES, Membership.SHORT, Membership.ROUGH]
-    verdict = np.append(np.select(fails, reasons, Membership.IN_PLANE), Membership.ALONE)
-    membership = np.where((plane < 0) & ~reaches, Membership.REFUSED, verdict[plane]).astype(np.uint8)
-    return _renumbered(plane, verdict[:-1] == Membership.IN_PLANE), distance, membership
-
-
-@numba.njit(cache=True, nogil=True)
-def _fit_all(total: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:  # pragma: no cover
-    """Normals towards the sensor, offsets and RMS of planes from their moments."""
-    normal = np.empty((len(total), 2))
-    offset_m = np.empty(len(total))
-    rms_m = np.empty(len(total))
-    for k in range(len(total)):
-        nx, ny, offset, rms, _ = fit_upright_plane(total[k])
-        sign = 1.0 if nx * origin[0] + ny * origin[1] - offset > 0 else -1.0
-        normal[k, 0], normal[k, 1], offset_m[k], rms_m[k] = sign * nx, sign * ny, sign * offset, rms
-    return normal, offset_m, rms_m
+def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, count: int) -> FloatArray:
+    """The minimum or maximum (count,) of each plane's values; infinite without any."""
+    reduced = np.full(count, np.inf if reduce is np.minimum else -np.inf)
+    reduce.at(reduced, plane[plane >= 0], values[plane >= 0])
+    return reduced

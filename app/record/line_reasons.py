@@ -14,7 +14,8 @@ from ffmap.algorithms.base.scan import BoolArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.scan.doors import Depression, DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
-from ffmap.algorithms.scan.wall_planes import Growth, Membership, Reach
+from ffmap.algorithms.scan.wall_candidates import Reach
+from ffmap.algorithms.scan.wall_planes import Growth, Membership
 from ffmap.app.record.shapes import table
 from ffmap.blueprints.entities import LINE_OUTCOMES, LineOutcome
 

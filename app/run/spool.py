@@ -49,7 +49,7 @@ class SpooledScan:
     Nothing of it depends on where the scan lies in the map, which is known when the last loop is closed.
 
     scan: its number. stamp_ns: of its header. origin_level: (3,) the sensor.
-    floor: (2, 3), floor_is_foot: as `floor_height` takes them. ceiling: (c, 3), see `plane_rows`. All in the level frame.
+    floor: (2, 3), floor_is_foot: as `heights_above_pieces` takes them. ceiling: (c, 3), see `plane_rows`. All in the level frame.
     point: (n, 3) int16, in multiples of grid_m, which is more than a millimetre where a return is farther than 32 m.
     place: (n,) int32, of each return in the cloud; empty where they have the cloud's order.
     label_cloud: (cloud_size,) uint8, the scan's own label of each place in the cloud, see `full_labels`.

@@ -49,7 +49,7 @@ from ffmap.algorithms.scan.labelling import LabellingSettings, MethodSettings
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothingSettings
 from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
-from ffmap.algorithms.scan.wall_planes import WallPlanesSettings
+from ffmap.algorithms.scan.wall_candidates import WallPlanesSettings
 from ffmap.loaders.errors import InputError, shortened
 from ffmap.loaders.text_files import SETTINGS_LINE_MAX, dotted_keys, read_toml
 

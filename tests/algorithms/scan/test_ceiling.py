@@ -5,14 +5,14 @@ import pytest
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.scan.ceiling import find_ceilings
-from ffmap.algorithms.scan.floor import find_floor
+from ffmap.algorithms.scan.floor import Floor, find_floor
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings
 from tests.algorithms.scan.test_floor import FOOT, SETTINGS, ground
 from tests.corridor import METHOD, labelled
 
 
 def found_above(
-    points: FloatArray, floor: HorizontalPlane, settings: RearrangementSettings, seed: int
+    points: FloatArray, floor: Floor, settings: RearrangementSettings, seed: int
 ) -> tuple[HorizontalPlane, ...]:
     return find_ceilings(points, floor.heights_above(points), floor, settings, seed)
 
@@ -20,7 +20,7 @@ def found_above(
 def test_a_ceiling_over_a_ramp_may_slope_with_it_or_be_level() -> None:
     generator = np.random.default_rng(2)
     xy = generator.uniform(-3, 3, (6_000, 2))
-    ramp = HorizontalPlane(0.0, np.array([0.08, 0.0]), 0)
+    ramp = Floor(0.0, np.array([0.08, 0.0]), 0)
     for slope in (0.08, 0.0):
         points = np.column_stack([xy, 2.8 + slope * xy[:, 0] + generator.normal(0, 0.01, len(xy))]).astype(np.float32)
         (ceiling,) = found_above(points, ramp, METHOD.rearrangement, 0)
@@ -30,14 +30,14 @@ def test_a_ceiling_over_a_ramp_may_slope_with_it_or_be_level() -> None:
 
 def test_ceiling_is_independent_of_the_seed() -> None:
     _, placed, _, _ = labelled()
-    floor = HorizontalPlane(0.0, np.zeros(2), 0)
+    floor = Floor(0.0, np.zeros(2), 0)
     found = [found_above(placed.points_level, floor, METHOD.rearrangement, seed)[0].height_m for seed in range(5)]
     assert np.ptp(found) < 0.005
 
 
 def test_a_duct_below_the_ceiling_is_no_ceiling_of_its_own_and_a_lower_room_has_one() -> None:
     generator = np.random.default_rng(3)
-    floor = HorizontalPlane(0.0, np.zeros(2), 0)
+    floor = Floor(0.0, np.zeros(2), 0)
 
     def returns(count: int, low: tuple[float, float], high: tuple[float, float], height_m: float) -> np.ndarray:
         return np.column_stack([generator.uniform(low, high, (count, 2)), generator.normal(height_m, 0.005, count)])

@@ -23,7 +23,8 @@ from ffmap.algorithms.scan.vertical_structures import (
     VerticalStructuresSettings,
     find_vertical_structures,
 )
-from ffmap.algorithms.scan.wall_planes import WallPlanes, WallPlanesSettings, grow_wall_planes
+from ffmap.algorithms.scan.wall_candidates import WallPlanesSettings
+from ffmap.algorithms.scan.wall_planes import WallPlanes, grow_wall_planes
 from tests.synthetic import scan_of
 
 DOORS = DoorsSettings()
@@ -99,7 +100,6 @@ def look(profiles: dict[float, Profile], settings: DoorsSettings = DOORS, ceilin
         lines.samples,
         structures,
         (HorizontalPlane(ceiling_m, np.zeros(2), 1000),),
-        HorizontalPlane(0.0, np.zeros(2), 1000),
         np.ones(len(lines), bool),
         WallPlanesSettings(),
     )

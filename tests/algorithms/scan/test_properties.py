@@ -16,7 +16,7 @@ from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.scan.ceiling import _CEILINGS_MAX, find_ceilings
-from ffmap.algorithms.scan.floor import find_floor
+from ffmap.algorithms.scan.floor import Floor, find_floor
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings
 from tests import synthetic
@@ -189,8 +189,8 @@ def is_sound(plane: HorizontalPlane, slope_max: float, cloud: np.ndarray) -> boo
         and plane.slope.shape == (2,)
         and float(np.hypot(*plane.slope)) <= slope_max + 1e-9
         and 0 <= plane.support <= len(cloud)
-        and bool(np.all(np.isfinite(plane.heights_above(cloud))))
-        and plane.heights_above(cloud).shape == (len(cloud),)
+        and bool(np.all(np.isfinite(plane.height_at(cloud))))
+        and plane.height_at(cloud).shape == (len(cloud),)
     )
 
 
@@ -222,7 +222,7 @@ class TestHorizontalPlanes:
         @example(np.zeros((0, 3), np.float32), 0)
         @example(np.full((1000, 3), 2.5, np.float32), 0)
         def check(cloud: np.ndarray, seed: int) -> None:
-            ceilings = find_ceilings(cloud, cloud[:, 2], HorizontalPlane(0.0, np.zeros(2), 0), REARRANGEMENT, seed)
+            ceilings = find_ceilings(cloud, cloud[:, 2], Floor(0.0, np.zeros(2), 0), REARRANGEMENT, seed)
             assert len(ceilings) <= _CEILINGS_MAX
             assert all(is_sound(ceiling, 0.03, cloud) for ceiling in ceilings)
             high = cloud[:, 2] > REARRANGEMENT.ceiling_height_min_m

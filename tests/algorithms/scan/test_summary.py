@@ -7,7 +7,7 @@ import pytest
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.scan.floor import Floor, floor_height
+from ffmap.algorithms.scan.floor import Floor, heights_above_pieces
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.summary import concatenate, extract, move_moments, select_scans, with_rays, without_rays
 from tests import synthetic
@@ -30,8 +30,8 @@ def test_the_floor_has_its_height_at_every_place_of_the_map(floor: Floor) -> Non
     places_level = np.random.default_rng(0).uniform(-4, 4, (50, 3))
     places_level[:, 2] = floor.height_at(places_level)
     places_map = transforms.apply(T_map_level, places_level)
-    found_m = [floor_height(features.floor_map[0], features.floor_is_foot[0], x, y) for x, y, _ in places_map]
-    np.testing.assert_allclose(found_m, places_map[:, 2], atol=1e-9)
+    found_m = heights_above_pieces(places_map, features.floor_map[0], features.floor_is_foot[0])
+    np.testing.assert_allclose(found_m, 0.0, atol=1e-6)
 
 
 def test_moments_move_with_their_points() -> None:

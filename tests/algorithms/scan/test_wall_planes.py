@@ -9,19 +9,11 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.scan.point_lines import SAMPLES
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
-from ffmap.algorithms.scan.wall_planes import (
-    _UPPER_PART_M,
-    Growth,
-    Membership,
-    Reach,
-    WallPlanes,
-    WallPlanesSettings,
-    grow_wall_planes,
-)
+from ffmap.algorithms.scan.wall_candidates import _UPPER_PART_M, Reach, WallPlanesSettings
+from ffmap.algorithms.scan.wall_planes import Growth, Membership, WallPlanes, grow_wall_planes
 
 SETTINGS = WallPlanesSettings()
 CEILING_M = 2.8
-FLOOR = HorizontalPlane(0.0, np.zeros(2), 1000)
 CEILING = HorizontalPlane(CEILING_M, np.zeros(2), 1000)
 ORIGIN = np.array([0.0, 0.0, 1.0])
 SPAN_M = (0.1, 2.75)
@@ -91,7 +83,6 @@ def grow(
         samples,
         structures,
         ceilings,
-        FLOOR,
         np.ones(line_count, bool),
         settings,
     )
@@ -357,7 +348,7 @@ def grow_profile(corners: list[tuple[float, float]], upright: list[int]) -> Wall
     )
     samples = np.repeat(np.arange(12 * SAMPLES, dtype=np.int32).reshape(12, SAMPLES), 2, axis=0)
     returns = Returns(points.astype(np.float32), points[:, 2].astype(np.float32), ORIGIN)
-    return grow_wall_planes(returns, samples, structures, (CEILING,), FLOOR, np.ones(24, bool), SETTINGS)
+    return grow_wall_planes(returns, samples, structures, (CEILING,), np.ones(24, bool), SETTINGS)
 
 
 @pytest.mark.parametrize(
