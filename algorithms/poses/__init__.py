@@ -1,1 +1,1 @@
-"""Where the robot was: odometry (paper, IV.A), its refinement, loops closed, and which way is up."""
+"""Localization: odometry (paper, IV.A), its refinement, loop closure, levelling, extrinsics."""

@@ -1,8 +1,9 @@
-"""Clouds of Gaussians and maps of them, and the registration of one to the other; the only file that imports small_gicp.
+"""Clouds and maps of Gaussians, and their registration by VGICP; the only import of small_gicp.
 
-KISS-ICP matches points to points. The rings that a lidar draws on floor and walls move with it, and so do their points:
-in a bare corridor that holds the pose back, by a metre at worst. Distributions have no such bias: a patch of floor holds
-a scan at its height and nowhere else (Segal et al. 2009; voxels of Gaussians: Koide et al. 2021, "Voxelized GICP").
+KISS-ICP matches points to points. The rings of a lidar on floor and walls move with it, and so do
+their points: in a bare corridor that holds the pose back, by up to a metre. Distributions have no
+such bias: a patch of floor constrains height and inclination only (Segal et al. 2009, "GICP";
+voxels of Gaussians: Koide et al. 2021, "Voxelized GICP").
 """
 
 from dataclasses import dataclass
@@ -13,37 +14,41 @@ import small_gicp  # noqa: TID251 - its one place
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 
+_RESOLUTION_M = 0.2
+"""Edge (m) of the voxels to one point each of which clouds are thinned."""
+_NEIGHBOURS = 12
+"""Number of neighbours from which a point's covariance is estimated."""
+
 
 @dataclass(frozen=True)
 class Aligned:
-    """One cloud registered to a map.
+    """A cloud registered to a map.
 
     T_map_cloud: (4, 4); the guess where nothing matched.
     inlier_share: share of the cloud's points that have a Gaussian.
-    information: (6, 6) of the pose, rotation before translation, for a small motion in the cloud's own frame; zeros where
-        nothing matched.
+    information: (6, 6) Hessian of the pose, rotation before translation, for a small motion in the
+        cloud's frame; zeros where nothing matched.
     """
 
     T_map_cloud: FloatArray
     inlier_share: float
     information: FloatArray
 
-
-_RESOLUTION_M = 0.2
-"""Edge (m) of the cubes to one point each of which clouds are thinned."""
-_NEIGHBOURS = 12
-"""Number of neighbours that a point's covariance is estimated from."""
+    @property
+    def weakest_share(self) -> float:
+        """Information on the position in its weakest direction, as a share of its strongest."""
+        held = np.linalg.eigvalsh(self.information[3:, 3:])
+        return float(max(held[0], 0.0) / max(held[2], 1e-9))
 
 
 class GaussianCloud:
-    """Points thinned to one in each cube, each with the covariance of its neighbourhood.
-
-    points: (n, 3) metres.
-    """
+    """Points (n, 3) in metres, thinned, each with the covariance of its neighbourhood."""
 
     def __init__(self, points: FloatArray) -> None:
         self.cloud, _ = small_gicp.preprocess_points(
-            points.astype(np.float64), downsampling_resolution=_RESOLUTION_M, num_neighbors=_NEIGHBOURS
+            points.astype(np.float64),
+            downsampling_resolution=_RESOLUTION_M,
+            num_neighbors=_NEIGHBOURS,
         )
 
     def __len__(self) -> int:
@@ -56,14 +61,15 @@ class GaussianCloud:
 
     @property
     def normals(self) -> FloatArray:
-        """(m, 3) float32 unit vectors, of the neighbourhoods' planes."""
+        """(m, 3) float32 unit vectors of the neighbourhoods' planes."""
         return np.asarray(self.cloud.normals())[:, :3].astype(np.float32)
 
 
 class GaussianMap:
     """Voxels with one Gaussian each.
 
-    voxel_m: their edge. memory: number of insertions in a row after which a voxel without points is forgotten; None keeps all.
+    voxel_m: their edge. memory: number of insertions after which a voxel without new points is
+    removed; None keeps all.
     """
 
     def __init__(self, voxel_m: float, memory: int | None = None) -> None:
@@ -71,11 +77,16 @@ class GaussianMap:
         self._map.set_lru(horizon=2_000_000_000 if memory is None else memory, clear_cycle=10)
 
     def insert(self, cloud: GaussianCloud, T_map_cloud: FloatArray) -> None:
-        """Add a cloud where it was seen."""
+        """Add a cloud at its pose."""
         self._map.insert(cloud.cloud, T_map_cloud)
 
-    def register(self, cloud: GaussianCloud, guess: FloatArray, distance_m: float, iterations_max: int) -> Aligned:
-        """The pose (4, 4) near a guess; points farther than `distance_m` from every Gaussian count for nothing."""
+    def register(
+        self, cloud: GaussianCloud, guess: FloatArray, distance_m: float, iterations_max: int
+    ) -> Aligned:
+        """Find the pose near a guess (4, 4).
+
+        distance_m: maximum distance of a point from its Gaussian; others are ignored.
+        """
         found = small_gicp.align(
             self._map,
             cloud.cloud,
@@ -89,7 +100,7 @@ class GaussianMap:
         if not found.num_inliers or not np.isfinite(found.T_target_source).all():
             return Aligned(guess, 0.0, np.zeros((6, 6)))
         return Aligned(
-            # Small errors of rounding would grow from pose to pose.
+            # Rounding errors would grow from pose to pose.
             transforms.orthonormal(np.array(found.T_target_source)),
             found.num_inliers / len(cloud),
             np.array(found.H),

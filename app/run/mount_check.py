@@ -135,7 +135,7 @@ def check_mounts(
     """
     if inputs.horizontal is None or not inputs.others:
         return []
-    patches = Patches.of(map_of(inputs, odometry, settings, mapped), cube_m=0.1, neighbours=16)
+    patches = Patches.of(map_of(inputs, odometry, settings, mapped), voxel_m=0.1, neighbours=16)
     # Those between the scans that made the patches.
     own = scans_of(inputs, inputs.horizontal, odometry, settings, 2 * mapped - 1)[1::2]
     T_base_own = inputs.horizontal.lidar.T_base_sensor

@@ -140,5 +140,5 @@ def _agreement(
 ) -> tuple[float, float]:
     """How the returns of some scans agree with the surfaces of others; see `surfaces_agreement`."""
     T = sensor.lidar.T_base_sensor
-    patches = Patches.of(laid_out(mapped, odometry, T), cube_m=0.1, neighbours=16)
+    patches = Patches.of(laid_out(mapped, odometry, T), voxel_m=0.1, neighbours=16)
     return surfaces_agreement(patches, odometry, laid, T, _RETURNS)

@@ -24,7 +24,7 @@ def turning(scans: int) -> Trajectory:
 
 
 def patches_of(points: FloatArray) -> Patches:
-    return Patches.of(points, cube_m=0.1, neighbours=16)
+    return Patches.of(points, voxel_m=0.1, neighbours=16)
 
 
 def at_one_instant(stamp_ns: int, trajectory: Trajectory, seed: int) -> Scan:
@@ -36,7 +36,10 @@ def at_one_instant(stamp_ns: int, trajectory: Trajectory, seed: int) -> Scan:
 
 def seen(trajectory: Trajectory, scans: int) -> tuple[Patches, list[Scan]]:
     """Patches of the room as it is, and scans from all over the drive."""
-    swept = [at_one_instant(int(trajectory.stamp_ns[k + 1]) + 30_000_000, trajectory, k) for k in range(scans)]
+    swept = [
+        at_one_instant(int(trajectory.stamp_ns[k + 1]) + 30_000_000, trajectory, k)
+        for k in range(scans)
+    ]
     placed = [place_scan(scan, trajectory, T_BASE_SENSOR) for scan in swept]
     points = np.concatenate([p.to_map(p.points_level[::5]) for p in placed]).astype(np.float64)
     return patches_of(points[points[:, 2] < 1.9]), swept
@@ -49,12 +52,17 @@ def room() -> tuple[Trajectory, Patches, list[Scan]]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_mount_and_a_clock_that_are_off_are_found(room: tuple[Trajectory, Patches, list[Scan]], seed: int) -> None:
+def test_a_mount_and_a_clock_that_are_off_are_found(
+    room: tuple[Trajectory, Patches, list[Scan]], seed: int
+) -> None:
     """From 5 degrees, 10 cm and 50 ms on."""
     trajectory, patches, scans = room
     rng = np.random.default_rng(seed)
     axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-    T_given = transforms.make_transform(Rotation.from_rotvec(np.radians(5) * axis), 0.1 * way) @ T_BASE_SENSOR
+    T_given = (
+        transforms.make_transform(Rotation.from_rotvec(np.radians(5) * axis), 0.1 * way)
+        @ T_BASE_SENSOR
+    )
     late_ns = 50_000_000 * (-1) ** seed
     late = [replace(scan, start_ns=scan.start_ns + late_ns) for scan in scans]
     found = refine_extrinsics(patches, trajectory, late, T_given, 20_000)
@@ -73,12 +81,16 @@ def test_a_mount_and_a_clock_that_are_off_are_found(room: tuple[Trajectory, Patc
     assert change[6] == found.clock_s
 
 
-def test_on_a_straight_way_a_clock_is_not_known(room: tuple[Trajectory, Patches, list[Scan]]) -> None:
+def test_on_a_straight_way_a_clock_is_not_known(
+    room: tuple[Trajectory, Patches, list[Scan]],
+) -> None:
     """It does what a shift along the way does."""
     T = np.tile(np.eye(4), (26, 1, 1))
     T[:, 0, 3] = 0.06 * np.arange(26)
     straight = Trajectory(PERIOD_NS * (1 + np.arange(26)), T)
-    found = refine_extrinsics(*(lambda p, s: (p, straight, s))(*seen(straight, 24)), T_BASE_SENSOR, 20_000)
+    found = refine_extrinsics(
+        *(lambda p, s: (p, straight, s))(*seen(straight, 24)), T_BASE_SENSOR, 20_000
+    )
     turned = refine_extrinsics(room[1], room[0], room[2], T_BASE_SENSOR, 20_000)
     assert found is not None
     assert turned is not None
@@ -98,7 +110,13 @@ def test_at_rest_a_clock_is_unknown(room: tuple[Trajectory, Patches, list[Scan]]
 def test_too_little_tells_nothing(room: tuple[Trajectory, Patches, list[Scan]]) -> None:
     trajectory, patches, scans = room
     assert refine_extrinsics(patches, trajectory, [], T_BASE_SENSOR, 20_000) is None
-    assert refine_extrinsics(patches_of(np.zeros((0, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
-    assert refine_extrinsics(patches_of(np.zeros((5, 3))), trajectory, scans, T_BASE_SENSOR, 20_000) is None
+    assert (
+        refine_extrinsics(patches_of(np.zeros((0, 3))), trajectory, scans, T_BASE_SENSOR, 20_000)
+        is None
+    )
+    assert (
+        refine_extrinsics(patches_of(np.zeros((5, 3))), trajectory, scans, T_BASE_SENSOR, 20_000)
+        is None
+    )
     far = transforms.make_transform(translation=[300.0, 0.0, 0.0])
     assert refine_extrinsics(patches, trajectory, scans, far @ T_BASE_SENSOR, 20_000) is None

@@ -1,0 +1,245 @@
+"""Refined poses where registration or odometry errs, on a drive through a box with pillars."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, Scan
+from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
+from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner
+from tests.algorithms.poses.box_drive import (
+    PERIOD_NS,
+    T_HORIZONTAL_VERTICAL,
+    Given,
+    errors,
+    later,
+    off,
+    true_pose,
+)
+
+Change = Callable[[int, FloatArray], FloatArray]
+
+
+def refined(
+    scans: Iterable[Given], odometry: Change = lambda _, T: T, refiner: Refiner | None = None
+) -> list[Refinement]:
+    """Refine scans from their true poses, as changed by an odometry."""
+    refiner = refiner or Refiner(RefinementSettings(), (0.5, 60.0), T_HORIZONTAL_VERTICAL)
+    found = []
+    for number, (_, scan, companion) in enumerate(scans):
+        T_end = odometry(number, true_pose(scan.end_ns))
+        refinement = refiner.refine(scan, T_end, companion)
+        assert refinement is not None
+        found.append(refinement)
+    return found
+
+
+def errors_of(found: list[Refinement], first: int = 0) -> tuple[FloatArray, FloatArray]:
+    true = [true_pose(r.stamp_ns) for r in found]
+    return errors([r.T_odom_sensor for r in found], true, first)
+
+
+def misregister(
+    monkeypatch: pytest.MonkeyPatch, T_off: FloatArray, times: int, fits: float = 1.0
+) -> list[FloatArray]:
+    """Let the next registrations find another pose with a share of the inliers.
+
+    Returns the guesses of all registrations.
+    """
+    register, guesses = GaussianMap.register, []
+
+    def fooled(
+        self: GaussianMap, cloud: GaussianCloud, guess: FloatArray, *limits: float
+    ) -> Aligned:
+        guesses.append(guess)
+        found = register(self, cloud, guess, *limits)  # type: ignore[arg-type]
+        if len(guesses) > times:
+            return found
+        share = found.inlier_share * fits
+        return replace(found, T_map_cloud=found.T_map_cloud @ T_off, inlier_share=share)
+
+    monkeypatch.setattr(GaussianMap, "register", fooled)
+    return guesses
+
+
+def moved(degrees: float, axis: str, metres: list[float]) -> FloatArray:
+    return transforms.make_transform(Rotation.from_euler(axis, degrees, degrees=True), metres)
+
+
+TURN, SHIFT = moved(7, "y", [0.0, 0.0, 0.0]), moved(0, "y", [0.25, 0.0, 0.0])
+SMALL = moved(1, "z", [0.05, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("T_off", "times", "fits", "refused"),
+    [
+        *((T, times, 1.0, times == 7) for T in (TURN, SHIFT) for times in (1, 7)),
+        # No jump: robots turn and drive as much.
+        (SMALL, 1, 0.9, False),
+        (SMALL, 2, 0.5, False),
+    ],
+)
+def test_a_registration_that_jumps_or_fits_worse_is_repeated_and_else_refused(
+    scans: list[Given],
+    monkeypatch: pytest.MonkeyPatch,
+    T_off: FloatArray,
+    times: int,
+    fits: float,
+    refused: bool,
+) -> None:
+    def odometry(number: int, T: FloatArray) -> FloatArray:
+        if number == 12:
+            misregister(monkeypatch, T_off, times, fits)
+        return T
+
+    found = refined(scans[:14], odometry)
+    assert [r.refused for r in found] == [False] * 12 + [refused, False]
+    off_m, off_deg = errors_of(found, first=11)
+    assert off_m[12] < 0.02
+    assert off_deg[12] < 0.5
+
+
+def test_a_jump_is_accepted_once_the_robot_can_have_moved_as_far(
+    scans: list[Given], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wrong poses must recover."""
+
+    def odometry(number: int, T: FloatArray) -> FloatArray:
+        if number == 12:
+            misregister(monkeypatch, moved(0, "z", [0.4, 0.0, 0.0]), 1000)
+        return T
+
+    refused = [r.refused for r in refined(scans[:18], odometry)]
+    assert refused[:13] == [False] * 12 + [True]
+    assert not all(refused[13:16])
+
+
+def test_the_first_guess_is_by_the_motion_of_the_refined_poses(
+    scans: list[Given], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a corridor whose walls are all alike, the scan may also fit at the odometry's pose."""
+    guesses: list[list[FloatArray]] = []
+
+    def odometry(number: int, T: FloatArray) -> FloatArray:
+        if number < 20:
+            return T
+        guesses.append(misregister(monkeypatch, np.eye(4), 0))
+        return T @ moved(0, "z", [0.4, 0.0, 0.0])
+
+    found = refined(scans[:21], odometry)
+    (own,) = guesses
+    assert len(own) == 1
+    way = transforms.invert(found[-1].T_odom_sensor) @ own[0]
+    assert np.linalg.norm(way[:3, 3]) < 0.03
+
+
+def test_noise_of_the_odometry_bends_no_sweep(scans: list[Given]) -> None:
+    generator = np.random.default_rng(4)
+
+    def odometry(number: int, T: FloatArray) -> FloatArray:
+        if not number:
+            return T
+        turn = Rotation.from_rotvec(generator.normal(0, np.radians(0.6), 3))
+        return T @ transforms.make_transform(turn, generator.normal(0, 0.03, 3))
+
+    found = refined(scans, odometry)
+    true = np.array([true_pose(r.stamp_ns) for r in found])
+    wrong = transforms.invert(true) @ np.array([r.T_odom_sensor for r in found])
+    step_m, step_deg = off(transforms.invert(wrong[:-1]) @ wrong[1:])
+    assert np.sqrt(np.mean(step_m**2)) < 0.003
+    assert np.sqrt(np.mean(step_deg**2)) < 0.1
+
+
+@pytest.mark.parametrize("from_scan", [0, 20])
+def test_a_wild_odometry_does_not_affect_the_first_poses(
+    scans: list[Given], from_scan: int
+) -> None:
+    """At rest, and where the recording begins in motion."""
+    generator = np.random.default_rng(6)
+
+    def odometry(_: int, T: FloatArray) -> FloatArray:
+        turn = Rotation.from_rotvec(generator.normal(0, np.radians(3.0), 3))
+        return T @ transforms.make_transform(turn, generator.normal(0, 0.1, 3))
+
+    found = refined(scans[from_scan : from_scan + 10], odometry)
+    assert not any(r.refused for r in found)
+    off_m, off_deg = errors_of(found)
+    assert off_m.max() < 0.01
+    assert off_deg.max() < 0.5
+
+
+@pytest.mark.parametrize("first_alone", [True, False])
+def test_no_motion_is_extrapolated_over_a_pause(scans: list[Given], first_alone: bool) -> None:
+    """The robot moved on, or rested, while nothing was recorded."""
+    refiner = Refiner(RefinementSettings(), (0.5, 60.0), T_HORIZONTAL_VERTICAL)
+    before, after = ([0], range(30, 40)) if first_alone else (range(20), range(20, 30))
+    pause_ns = 0 if first_alone else 12 * 10**9
+    found, true = [], []
+    for number, by_ns in [*((n, 0) for n in before), *((n, pause_ns) for n in after)]:
+        _, scan, companion = scans[number]
+        beside = None if companion is None else later(companion, by_ns)
+        is_first = by_ns > 0 and len(found) == 20
+        T_end = true_pose(scan.end_ns)
+        refinement = refiner.refine(later(scan, by_ns), T_end, beside, after_gap=is_first)
+        assert refinement is not None
+        assert not refinement.refused
+        found.append(refinement.T_odom_sensor)
+        true.append(true_pose(scan.reference_ns))
+    off_m, off_deg = errors(found, true)
+    assert off_m.max() < 0.04
+    assert off_deg.max() < 1.0
+
+
+def rectangles(seed: int, *corners: tuple[list[float], list[float]]) -> Scan:
+    """400 returns on a square metre of rectangles, with 1 cm of noise across them."""
+    generator = np.random.default_rng(seed)
+    parts = []
+    for low, high in corners:
+        low_m, extent_m = np.array(low), np.subtract(high, low)
+        count = int(400 * np.prod(extent_m[extent_m > 0]))
+        noise_m = np.where(extent_m > 0, 0.0, generator.normal(0, 0.01, (count, 3)))
+        parts.append(low_m + extent_m * generator.uniform(size=(count, 3)) + noise_m)
+    points = np.concatenate(parts).astype(np.float32)
+    index = np.arange(len(points), dtype=np.int32)
+    ring = np.zeros(len(points), np.uint16)
+    return Scan(points, ring, 1, None, seed * PERIOD_NS, seed * PERIOD_NS, index, len(points))
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "most_m"), [(RefinementSettings().distance_m, 0.01), (0.5, np.inf)]
+)
+def test_the_other_side_of_a_wall_is_not_taken_for_the_known_side(
+    distance_m: float, most_m: float
+) -> None:
+    """Out of a room through a doorway: the map knows the room's side of a wall of 16 cm."""
+    settings = RefinementSettings(distance_m=distance_m, points_max=1_000_000)
+    refiner = Refiner(settings, (0.0, 60.0))
+    # The walls, then floor and back wall.
+    room = rectangles(
+        1,
+        ([-4, 0.02, 0], [4, 0.02, 2.6]),
+        ([-4, -5, 0], [-4, 0, 2.6]),
+        ([4, -5, 0], [4, 0, 2.6]),
+        ([-4, -5, 0], [4, 2, 0]),
+        ([-4, -5, 0], [4, -5, 2.6]),
+    )
+    # From the doorway: some of the room, and all of the corridor's wall.
+    doorway = rectangles(
+        2,
+        ([-4, 0.18, 0], [4, 0.18, 2.6]),
+        ([-1.5, -5, 0], [1.5, -5, 2.6]),
+        ([-1.5, -5, 0], [1.5, 2, 0]),
+        ([-4, 0.18, 0], [4, 2, 0]),
+        ([-4, 2, 0], [4, 2, 2.6]),
+    )
+    refiner.refine(room, np.eye(4))
+    found = refiner.refine(doorway, np.eye(4))
+    assert found is not None
+    assert not found.refused
+    off_m = float(np.linalg.norm(found.T_odom_sensor[:3, 3]))
+    assert off_m < most_m
+    assert distance_m < 0.2 or off_m > 0.03  # without the limit, the walls are merged
