@@ -1,4 +1,4 @@
-"""ffmap calibrate: where vertical lidars sit and by which clocks they run, from a drive; a rig file and a picture of all."""
+"""ffmap calibrate: find the extrinsics and clock offsets of vertical lidars from a drive."""
 
 import json
 from collections.abc import Sequence
@@ -23,20 +23,22 @@ from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 _SCANS, _RETURNS = 200, 60_000
-"""Number of scans of each lidar that are used, spread over the drive, and of returns that are laid on the other's map."""
+"""Number of scans of each lidar, spread over the drive, and of the vertical lidar's returns."""
 _DRAWN = 12
-_NAMES = ("roll", "pitch", "yaw", "x", "y", "z", "clock")
-_SCALE = np.array([np.degrees(1.0)] * 3 + [100.0] * 3 + [1e3])
-"""To degrees, centimetres and milliseconds."""
-_KNOWN = (*(0.1,) * 3, *(1.0,) * 3, 2.0)
-"""Degrees, centimetres and milliseconds up to which each of the seven is well known."""
-_MOTION = (
-    *("drive past walls on all sides, and over a floor that both lidars see",) * 3,
-    "turn on the spot once: along the way a shift does what a clock does",
-    "turn on the spot once: along the way a shift does what a clock does",
-    "drive where both lidars see the floor",
-    "turn on the spot once, left and right: the faster the motion, the more it tells of the clock",
+"""Number of scans in the recording."""
+_WALLS = "drive past walls on all sides, over a floor that both lidars see"
+_SPOT = "turn on the spot once: on a straight way, a shift and a clock offset look alike"
+_PARAMETERS = (
+    ("roll", "deg", 0.1, _WALLS),
+    ("pitch", "deg", 0.1, _WALLS),
+    ("yaw", "deg", 0.1, _WALLS),
+    ("x", "cm", 1.0, _SPOT),
+    ("y", "cm", 1.0, _SPOT),
+    ("z", "cm", 1.0, "drive where both lidars see the floor"),
+    ("clock", "ms", 2.0, "turn on the spot once, left and right, as fast as possible"),
 )
+"""Name, unit, the standard deviation up to which it is well known, and the motion to improve it."""
+_UNITS = {"deg": np.degrees(1.0), "cm": 100.0, "ms": 1e3}
 
 
 def calibrate(
@@ -47,51 +49,57 @@ def calibrate(
     seconds: float,
     from_motion: bool,
 ) -> None:
-    """Refine, tell, draw and write; raises InputError where the bag has no two lidars, or too little that both see.
+    """Refine extrinsics, print and draw them, and write a rig file.
 
-    from_motion: whether to start from the lidars' motion in place of the mounts that are given.
+    from_motion: start from the lidars' motion instead of given extrinsics.
+    Raises InputError without two lidars, or where they see too little in common.
     """
     inputs = find_inputs(bag, options, unplaced=from_motion)
     horizontal = inputs.horizontal
     if horizontal is None or not inputs.others:
         raise InputError(
-            f"{bag}: one lidar alone has no mount to refine; give a bag of two, 'ffmap info {bag.words}' lists them"
+            f"{bag}: a single lidar needs no calibration; give a bag of two, 'ffmap info "
+            f"{bag.words}' lists them"
         )
     settings = load_settings(None, [])
     with Progress(options.quiet) as progress:
         odometry = drive_alone(inputs, horizontal, settings, seconds, progress)
         if from_motion:
             seen = map_of(inputs, odometry, settings, _SCANS)
-            motions = []
+            first = []
             for sensor in inputs.others:
                 found = mount_by_motion(inputs, sensor, odometry, seen, settings, seconds, progress)
                 if isinstance(found, str):
                     raise InputError(f"{bag}: {found}")
-                motions.append(found)
-            inputs = inputs.with_mounts(motions)
-        progress.stage("mount", None)
-        checked = check_mounts(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS) if len(odometry) > 1 else []
-        placed = {mount.topic for mount in checked}
-        if unseen := [sensor.lidar.topic for sensor in inputs.others if sensor.lidar.topic not in placed]:
+                first.append(found)
+            inputs = inputs.with_mounts(first)
+        progress.stage("extrinsics", None)
+        checked: list[CheckedMount] = []
+        if len(odometry) > 1:
+            checked = check_mounts(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS)
+        topics = {sensor.lidar.topic for sensor in inputs.others}
+        if unseen := sorted(topics - {mount.topic for mount in checked}):
             raise InputError(
-                f"{bag}: {horizontal.lidar.topic} and {unseen[0]} see too little in common; drive between walls, "
-                "and start from a mount that is off by less than about 20 deg and half a metre"
+                f"{bag}: {horizontal.lidar.topic} and {unseen[0]} see too little in common; drive "
+                "between walls, and start from extrinsics within 20 deg and half a metre"
             )
         refined = inputs.with_mounts(mount.correction for mount in checked)
         if recording is not None:
-            room, height_m = map_of(inputs, odometry, settings, _SCANS), float(horizontal.lidar.T_base_sensor[2, 3])
-            write_calibration(recording, height_m, room, *(_laid(i, odometry, settings) for i in (inputs, refined)))
+            room = map_of(inputs, odometry, settings, _SCANS)
+            before, after = (_placed(i, odometry, settings) for i in (inputs, refined))
+            height_m = float(horizontal.lidar.T_base_sensor[2, 3])
+            write_calibration(recording, height_m, room, before, after)
     with written_whole(out) as part:
         part.write_text(_rig_text(refined, checked))
     for mount in checked:
-        _tell(mount)
+        _print(mount)
     typer.echo(f"rig file: {out}  (ffmap run {bag.words} --rig {out})")
     if recording is not None:
         typer.echo(f"recording: {recording}  (before red, after green; ffmap view {recording})")
 
 
-def _laid(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArray:
-    """(n, 3) what the vertical lidars saw, where the mounts put it."""
+def _placed(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArray:
+    """(n, 3) some returns of the vertical lidars by their extrinsics."""
     placed = [
         place_scan(scan, odometry, sensor.lidar.T_base_sensor)
         for sensor in inputs.others
@@ -101,44 +109,46 @@ def _laid(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatArra
 
 
 def _rig_text(inputs: Inputs, checked: Sequence[CheckedMount]) -> str:
-    """The rig file that says where all lidars sit."""
+    """The rig file of all lidars."""
     text = [
-        f"# Refined{'' if mount.alone else f' {mount.topic}'}: {100 * mount.found.rms_before_m:.1f} cm between what both lidars "
-        f"see before, {100 * mount.found.rms_after_m:.1f} cm after."
+        f"# {mount.topic}: surfaces of both lidars were {100 * mount.found.rms_before_m:.1f} cm "
+        f"apart, refined {100 * mount.found.rms_after_m:.1f} cm."
         for mount in checked
     ]
     text.append(f"base = {json.dumps(inputs.rig.base_frame)}")
     labelled = {sensor.lidar.topic for sensor in inputs.verticals}
     for sensor in inputs.used(given_poses=False):
-        drives = inputs.horizontal is not None and sensor.lidar.topic == inputs.horizontal.lidar.topic
-        role = "vertical" if not drives else "both" if sensor.lidar.topic in labelled else "horizontal"
-        T = sensor.lidar.T_base_sensor
+        lidar = sensor.lidar
+        drives = inputs.horizontal is not None and lidar.topic == inputs.horizontal.lidar.topic
+        role = "vertical" if not drives else "both" if lidar.topic in labelled else "horizontal"
+        quaternion_xyzw = transforms.quaternion_xyzw(lidar.T_base_sensor)
         text += [
             "",
             "[[lidar]]",
-            f"topic = {json.dumps(sensor.lidar.topic)}",
+            f"topic = {json.dumps(lidar.topic)}",
             f"role = {json.dumps(role)}",
-            f"translation = {[round(float(v), 5) for v in T[:3, 3]]}",
-            f"quaternion_xyzw = {[round(float(v), 7) for v in transforms.quaternion_xyzw(T)]}",
+            f"translation = {[round(float(v), 5) for v in lidar.T_base_sensor[:3, 3]]}",
+            f"quaternion_xyzw = {[round(float(v), 7) for v in quaternion_xyzw]}",
         ]
-        if sensor.lidar.decoding.clock_ns:
-            text.append(f"clock_s = {sensor.lidar.decoding.clock_ns / 1e9:.6f}")
+        if lidar.decoding.clock_ns:
+            text.append(f"clock_s = {lidar.decoding.clock_ns / 1e9:.6f}")
     return "\n".join(text) + "\n"
 
 
-def _tell(checked: CheckedMount) -> None:
+def _print(checked: CheckedMount) -> None:
     found = checked.found
     if not checked.alone:
         typer.echo(f"{checked.topic}:")
-    changes, sigma = _SCALE * checked.change, _SCALE * found.sigma
-    units = (*("deg",) * 3, *("cm",) * 3, "ms")
-    rows = (
-        (name, f"{change:+.2f} {unit}", f"{known:.2f} {unit}", motion if known > limit else "")
-        for name, unit, change, known, limit, motion in zip(_NAMES, units, changes, sigma, _KNOWN, _MOTION, strict=True)
-    )
-    headings = ("", "refined by", "known to (1 sigma)", "what would tell more")
+    rows = []
+    for parameter, change, sigma in zip(_PARAMETERS, checked.change, found.sigma, strict=True):
+        name, unit, known_max, advice = parameter
+        change, sigma = _UNITS[unit] * change, _UNITS[unit] * sigma
+        advice = advice if sigma > known_max else ""
+        rows.append((name, f"{change:+.2f} {unit}", f"{sigma:.2f} {unit}", advice))
+    headings = ("", "change", "1 sigma", "to improve")
     table_console().print(make_table(None, headings, rows, left=(0, 3)))
     before, after = 100 * found.rms_before_m, 100 * found.rms_after_m
     typer.echo(
-        f"what both lidars see: {before:.2f} cm apart as given, {after:.2f} cm as refined, {found.returns} returns"
+        f"distance of both lidars' surfaces: {before:.2f} cm as given, {after:.2f} cm refined, "
+        f"{found.returns} returns"
     )
