@@ -199,10 +199,9 @@ def info(
         ffmap info drive.bag
     """
     from ffmap.app.commands.info import describe
-    from ffmap.loaders.info import describe_bag
 
     path, verticals = BagPath(tuple(bag)), tuple(vertical or ())
-    for line in describe(describe_bag(path, _rig_file(rig), horizontal, verticals, time_from)):
+    for line in describe(path, _rig_file(rig), horizontal, verticals, time_from):
         typer.echo(line)
 
 

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2 as rosbags writes them, under a name of their own until they are complete."""
+"""Bags of ROS 1 and ROS 2 as rosbags writes them, under another name until they are complete."""
 
 import shutil
 from collections.abc import Iterable
@@ -7,7 +7,15 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, ClassVar, Self
 
-from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
@@ -34,21 +42,21 @@ _LATCHED = Qos(
 
 @dataclass(frozen=True)
 class SerializedMessage:
-    """A message as it lies in a bag of the version of ROS that is written; msgtype: as in `Message`."""
+    """A message in the version of ROS that is written."""
 
     __msgtype__: str
     data: bytes
 
 
 class BagWriter:
-    """A ROS 1 .bag, or the folder of a ROS 2 bag, message by message.
+    """Writes a ROS 1 .bag, or the folder of a ROS 2 bag.
 
-    Use as a context manager: at its end the bag takes the place of whatever lies at `path`; after an exception nothing is
-    left of it. part: where it lies until then; PATH.part where none is named.
+    As a context manager: the complete bag replaces whatever is at `path`; after an exception
+    nothing is left of it. part: the path until then.
     """
 
     caller: ClassVar[str | None] = None
-    """The node that the messages of a ROS 1 bag are said to be from."""
+    """The node in the messages of a ROS 1 bag."""
 
     def __init__(self, path: Path, container: Container, part: Path | None = None) -> None:
         self.path, self._container, self._ros1 = path, container, container == "ros1"
@@ -61,7 +69,12 @@ class BagWriter:
         self._writer = self._open()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
         if kind is not None:
             self._writer.abort()
             self._remove_part()
@@ -80,12 +93,13 @@ class BagWriter:
             ros1.open()
             return ros1
         storage = StoragePlugin.MCAP if self._container == "mcap" else StoragePlugin.SQLITE3
-        # One level down, for a bag's files are named after the folder they are made in; version 8 is what the most
-        # releases of ROS 2 read.
-        writer = Ros2Writer(self._part / self.path.name, version=8, storage_plugin=storage)
+        # A bag's files have the name of their folder, so it is one level down; most releases of
+        # ROS 2 read version 8.
+        folder = self._part / self.path.name
+        writer = Ros2Writer(folder, version=8, storage_plugin=storage)
         writer.open()
         if isinstance(writer.storage, Sqlite3Writer):
-            # Large pages suit large messages; the file has no name before it is complete, so no journal is needed.
+            # Large pages for large messages; an incomplete file is removed, so without a journal.
             writer.storage.conn.executescript(
                 "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA page_size=65536; VACUUM;"
             )
@@ -98,23 +112,34 @@ class BagWriter:
             self._part.unlink(missing_ok=True)
 
     def add_topic(self, topic: str, msgtype: str, latched: bool = False) -> None:
-        """Let the bag have a topic, with messages or without. latched: whether who comes late hears the last message."""
+        """Add a topic. latched: whether later subscribers receive the last message."""
         how: dict[str, Any] = {"offered_qos_profiles": [_LATCHED] * latched}
         if self._ros1:
             how = {"latching": int(latched), "callerid": self.caller}
-        self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=self._store, **how)
+        connection = self._writer.add_connection(topic, msgtype, typestore=self._store, **how)
+        self._connections[topic] = connection
 
-    def write(self, topic: str, message: Message | SerializedMessage, log_time_ns: int, latched: bool = False) -> None:
-        """Append a message, to a topic that is there or a new one."""
+    def write(
+        self,
+        topic: str,
+        message: Message | SerializedMessage,
+        log_time_ns: int,
+        latched: bool = False,
+    ) -> None:
+        """Append a message, to a known topic or a new one."""
         if topic not in self._connections:
             self.add_topic(topic, message.__msgtype__, latched)
         connection = self._connections[topic]
-        serialize = self._store.serialize_ros1 if self._ros1 else self._store.serialize_cdr
-        data = message.data if isinstance(message, SerializedMessage) else serialize(message, connection.msgtype)
+        if isinstance(message, SerializedMessage):
+            data: bytes | memoryview = message.data
+        else:
+            store = self._store
+            serialize = store.serialize_ros1 if self._ros1 else store.serialize_cdr
+            data = serialize(message, connection.msgtype)
         self._writer.write(connection, log_time_ns, data)
 
-    def new(self, msgtype: str, *values: Any) -> Message:  # noqa: ANN401 - whatever its fields are
-        """A message of its fields' values."""
+    def new(self, msgtype: str, *values: Any) -> Message:  # noqa: ANN401 - of any fields
+        """Make a message."""
         return self._store.types[msgtype](*values)
 
     def header(self, stamp_ns: int, frame_id: str) -> Message:
@@ -122,15 +147,20 @@ class BagWriter:
         return self.new("std_msgs/msg/Header", *([0] if self._ros1 else []), stamp, frame_id)
 
     def quaternion(self, T: FloatArray) -> Message:
-        """The rotation of a transform (4, 4)."""
+        """Make a message of the rotation of a transform (4, 4)."""
         return self.new("geometry_msgs/msg/Quaternion", *(float(q) for q in quaternion_xyzw(T)))
 
-    def transforms(self, stamp_ns: int, framed: Iterable[StaticTransform]) -> Message:
-        """A TFMessage."""
+    def transforms(self, stamp_ns: int, edges: Iterable[StaticTransform]) -> Message:
+        """Make a TFMessage."""
         messages = []
-        for one in framed:
-            shift = self.new("geometry_msgs/msg/Vector3", *(float(t) for t in one.T_parent_child[:3, 3]))
-            transform = self.new("geometry_msgs/msg/Transform", shift, self.quaternion(one.T_parent_child))
-            header = self.header(stamp_ns, one.parent)
-            messages.append(self.new("geometry_msgs/msg/TransformStamped", header, one.child, transform))
+        for edge in edges:
+            shift = (float(t) for t in edge.T_parent_child[:3, 3])
+            transform = self.new(
+                "geometry_msgs/msg/Transform",
+                self.new("geometry_msgs/msg/Vector3", *shift),
+                self.quaternion(edge.T_parent_child),
+            )
+            header = self.header(stamp_ns, edge.parent)
+            stamped = self.new("geometry_msgs/msg/TransformStamped", header, edge.child, transform)
+            messages.append(stamped)
         return self.new("tf2_msgs/msg/TFMessage", messages)

@@ -139,9 +139,10 @@ def valid_points(points: npt.NDArray[np.void]) -> tuple[FloatArray, IntArray]:
         Coordinates (n, 3) float32, and places (n,) int32 in the cloud.
     """
     with np.errstate(over="ignore"):  # A coordinate beyond float32 becomes infinite
-        xyz = np.stack([points[axis].astype(np.float32) for axis in "xyz"], axis=1)
-    valid = np.isfinite(xyz).all(axis=1) & xyz.any(axis=1)
-    return xyz[valid], np.flatnonzero(valid).astype(np.int32)
+        x, y, z = (points[axis].astype(np.float32) for axis in "xyz")
+    finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    index = np.flatnonzero(finite & ((x != 0) | (y != 0) | (z != 0)))
+    return np.stack([x[index], y[index], z[index]], axis=1), index.astype(np.int32)
 
 
 def field_of(points: npt.NDArray[np.void], name: str, index: IntArray) -> npt.NDArray[Any]:

@@ -1,7 +1,7 @@
-"""The clouds of all lidars that are labelled, as one sequence of scans in the order of their stamps.
+"""The clouds of all vertical lidars as one sequence of scans, in the order of their stamps.
 
-With one lidar a scan's number is that of its cloud. With several, scan 7 may be cloud 3 of the second: what comes after reading
-takes scan for scan, and asks each which lidar it is from.
+With one lidar, a scan has the number of its cloud. With several, scan 7 may be cloud 3 of the
+second.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,10 +18,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class ScanOrder:
-    """Which cloud each scan is, (m,) each.
+    """The cloud of each scan, (m,) each.
 
-    lidar: the place of its lidar among those that are labelled. cloud: its number among that lidar's.
-    stamp_ns: as in its header, be it usable or not.
+    lidar: place among the vertical lidars.
+    cloud: number among that lidar's clouds.
+    stamp_ns: header stamp, usable or not.
     """
 
     lidar: IntArray
@@ -30,12 +31,13 @@ class ScanOrder:
 
     @classmethod
     def of(cls, indices: Sequence[CloudIndex]) -> "ScanOrder":
-        """Each lidar's clouds stay in their order; of equal stamps, as of lidars that fire together, the topics' names decide."""
-        by_topic = np.argsort(np.argsort([index.topic for index in indices], kind="stable"), kind="stable")
+        """Sort by stamp; each lidar's clouds keep their order, topics decide between equal ones."""
+        names = sorted(index.topic for index in indices)
         lidar = np.concatenate([np.full(len(index), i) for i, index in enumerate(indices)])
         cloud = np.concatenate([np.arange(len(index)) for index in indices])
         stamp_ns = np.concatenate([index.stamp_ns for index in indices])
         reached_ns = np.concatenate([_reached_ns(index) for index in indices])
+        by_topic = np.array([names.index(index.topic) for index in indices])
         order = np.lexsort((cloud, by_topic[lidar], reached_ns))
         return cls(lidar[order], cloud[order], stamp_ns[order])
 
@@ -43,13 +45,16 @@ class ScanOrder:
         return len(self.lidar)
 
     def read(
-        self, first: int, count: int | None, read_lidar: Callable[[int, int, int], Iterator[tuple[int, T]]]
+        self,
+        first: int,
+        count: int | None,
+        read_lidar: Callable[[int, int, int], Iterator[tuple[int, T]]],
     ) -> Iterator[tuple[int, int, T]]:
-        """Number, lidar and what was read of each of the scans [first, first + count), None for all that follow.
+        """Yield number, lidar and item of each of the scans [first, first + count).
 
-        read_lidar: given a lidar's place, a first cloud and how many, what is read of these by their numbers; some may be
-        missing. Several lidars' are read in turns: each needs a bag of its own, for some containers are read from where the
-        last reader stopped.
+        read_lidar: reads some of a lidar's clouds, given its place, the first cloud and their
+            number; yields cloud numbers and items, some may be missing. Each lidar needs a bag of
+            its own, as some containers keep one position.
         """
         scans = slice(first, len(self) if count is None else first + count)
         lidars, clouds = self.lidar[scans], self.cloud[scans]
@@ -59,7 +64,8 @@ class ScanOrder:
             own = clouds[lidars == lidar]
             reading[lidar] = read_lidar(lidar, int(own[0]), len(own))
             following[lidar] = next(reading[lidar], None)
-        for scan, lidar, cloud in zip(range(first, first + len(lidars)), lidars.tolist(), clouds.tolist(), strict=True):
+        pairs = zip(lidars.tolist(), clouds.tolist(), strict=True)
+        for scan, (lidar, cloud) in enumerate(pairs, start=first):
             read = following[lidar]
             if read is not None and read[0] == cloud:
                 yield scan, lidar, read[1]
@@ -67,8 +73,8 @@ class ScanOrder:
 
 
 def _reached_ns(index: CloudIndex) -> IntArray:
-    """(m,) the latest right stamp up to each cloud; before there is any, the first: a stamp that is wrong moves no cloud."""
-    right = index.stamp_ns[index.usable]
-    if not len(right):
+    """The latest usable stamp (m,) up to each cloud: a wrong stamp moves no cloud."""
+    usable = index.stamp_ns[index.usable]
+    if not len(usable):
         return index.stamp_ns[:1].repeat(len(index))
-    return np.asarray(right[np.maximum(np.cumsum(index.usable) - 1, 0)])
+    return np.asarray(usable[np.maximum(np.cumsum(index.usable) - 1, 0)])

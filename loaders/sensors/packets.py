@@ -14,14 +14,15 @@ UNREAD_TYPES: Mapping[str, str] = {
     "rslidar_msgs/msg/rslidarPacket": "RoboSense",
     "rslidar_msgs/msg/rslidarScan": "RoboSense",
 }
-"""Whose they are: of these makers there is no decoder that gives every model's points and their times."""
+"""Makers without a decoder for every model's points and their times."""
 
 
 class UnreadPackets(Sensor):
-    """Packets that nothing decodes."""
+    """Packets without a decoder."""
 
     msgtypes = tuple(UNREAD_TYPES)
 
     def unread_reason(self, bag: Bag, topic: Topic) -> str:
         maker = UNREAD_TYPES[topic.msgtype]
-        return f"{topic.name}: {maker}'s raw packets ({topic.msgtype}) are not read; record the driver's PointCloud2"
+        what = f"{maker}'s raw packets ({topic.msgtype}) are not read"
+        return f"{topic.name}: {what}; record the driver's PointCloud2"

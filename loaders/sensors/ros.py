@@ -1,4 +1,4 @@
-"""Clouds as ROS defines them, of any maker's driver, and what compresses them."""
+"""PointCloud2 of any maker's driver, and compressed clouds."""
 
 from ffmap.loaders.bag import Bag, Topic
 from ffmap.loaders.pointcloud2 import CLOUD_TYPE
@@ -19,14 +19,17 @@ class CompressedPointCloud2(Sensor):
         return topic.msgtype.rpartition("/")[2] == "CompressedPointCloud2"
 
     def unread_reason(self, bag: Bag, topic: Topic) -> str:
-        """How to decompress them: point_cloud_transport publishes /points as /points/draco."""
+        """Name the command that decompresses: point_cloud_transport appends its name to topics."""
         base, _, transport = topic.name.rpartition("/")
         base = base or "/points"
         command = f"rosrun point_cloud_transport republish {transport} in:={base} raw out:={base}"
         if bag.ros_version == 2:
             command = (
-                f"ros2 run point_cloud_transport republish --ros-args -p in_transport:={transport} "
-                f"-p out_transport:=raw --remap in/{transport}:={topic.name} --remap out:={base}"
+                "ros2 run point_cloud_transport republish --ros-args "
+                f"-p in_transport:={transport} -p out_transport:=raw "
+                f"--remap in/{transport}:={topic.name} --remap out:={base}"
             )
-        what = f"{topic.name}: compressed clouds ({topic.msgtype}) are not read"
-        return f"{what}; play the bag with `{command}` and record {base} beside the other topics"
+        return (
+            f"{topic.name}: compressed clouds ({topic.msgtype}) are not read; play the bag with "
+            f"`{command}` and record {base} beside the other topics"
+        )

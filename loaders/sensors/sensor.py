@@ -1,4 +1,4 @@
-"""What each sensor has to provide."""
+"""The interface of a sensor."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, TypeAlias
@@ -8,13 +8,13 @@ from ffmap.loaders.bag import Bag, Message, RawMessage, Topic
 from ffmap.loaders.pointcloud2 import merge_clouds
 
 Decoder: TypeAlias = Callable[[Sequence[RawMessage], int], Message]
-"""Makes one PointCloud2 of a revolution's messages and stamp; raises InputError where it cannot."""
+"""Makes a PointCloud2 of a revolution's messages and stamp; raises InputError for damaged ones."""
 
 
 class Sensor:
     """The messages of a kind of lidar.
 
-    messages: what a user records, in words; empty for messages that are not read.
+    messages: what a user records, for error messages; empty for messages that are not read.
     msgtypes: types of these messages.
     definitions: text of the message types that rosbags lacks, by name.
     """
@@ -24,16 +24,17 @@ class Sensor:
     definitions: ClassVar[Mapping[str, str]] = {}
 
     def matches(self, topic: Topic) -> bool:
-        """Whether a topic holds messages of this lidar."""
+        """Whether a topic contains messages of this lidar."""
         return topic.msgtype in self.msgtypes
 
     def unread_reason(self, bag: Bag, topic: Topic) -> str | None:
-        """Why the messages of a topic are not read, one line; None where they are."""
+        """Explain why the messages of a topic are not read; None where they are."""
         return None
 
     def frame_of(self, bag: Bag, topic: str) -> str:
-        """The frame of the points."""
-        return str(bag.deserialize(next(bag.messages([topic]))).header.frame_id).removeprefix("/")
+        """Return the frame of the points."""
+        first = bag.deserialize(next(bag.messages([topic])))
+        return str(first.header.frame_id).removeprefix("/")
 
     def index(self, bag: Bag, topic: str) -> tuple[IntArray, IntArray, IntArray] | None:
         """Find the revolutions of packets without headers; None where messages have headers.
@@ -54,5 +55,5 @@ class Sensor:
         return join
 
     def decode(self, bag: Bag, raw: RawMessage) -> Message:
-        """Make one message a PointCloud2. Raises InputError where it is damaged."""
+        """Make a PointCloud2 of a message. Raises InputError where it is damaged."""
         return bag.deserialize(raw)

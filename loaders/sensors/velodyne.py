@@ -1,6 +1,4 @@
-"""Raw Velodyne packets (velodyne_msgs/VelodyneScan, one message a revolution) to clouds as the Velodyne driver lays
-them out.
-"""
+"""Raw Velodyne packets (velodyne_msgs/VelodyneScan, a message a revolution)."""
 
 from collections.abc import Sequence
 from types import MappingProxyType
@@ -14,10 +12,17 @@ from ffmap.loaders.pointcloud2 import make_cloud
 from ffmap.loaders.sensors.sensor import Decoder, Sensor
 
 VELODYNE_POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")]
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("intensity", "<f4"),
+        ("ring", "<u2"),
+        ("time", "<f4"),
+    ]
 )
-"""A point as the Velodyne driver lays it out."""
-# Added to the packets' times: the decoder takes a stamp of 0 for a missing one.
+"""A point in the layout of the Velodyne driver."""
+# Added to the packets' times: for the decoder, a stamp of 0 is a missing one.
 _ANY_TIME_S = 1000.0
 
 
@@ -29,7 +34,9 @@ class Velodyne(Sensor):
     definitions = MappingProxyType(
         {
             "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
-            "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+            "velodyne_msgs/msg/VelodyneScan": (
+                "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets"
+            ),
         }
     )
 
@@ -38,39 +45,40 @@ class Velodyne(Sensor):
 
 
 class VelodyneDecoder:
-    """Decodes the scans of one sensor, whose model it takes from the packets themselves."""
+    """Decodes the scans of one sensor, whose model the packets contain."""
 
     def __init__(self, bag: Bag, topic: str) -> None:
-        self._bag = bag
-        self._topic = topic
-        # Imported where there are packets: few bags have any, and it takes its time, at the end of the process too.
-        import velodyne_decoder
+        import velodyne_decoder  # Slow, and few bags have packets
 
+        self._bag, self._topic = bag, topic
         self._velodyne: Any = velodyne_decoder
-        self._decoder: Any = velodyne_decoder.ScanDecoder(velodyne_decoder.Config(timestamp_first_packet=True))
+        config = velodyne_decoder.Config(timestamp_first_packet=True)
+        self._decoder: Any = velodyne_decoder.ScanDecoder(config)
 
     def to_cloud(self, raws: Sequence[RawMessage], stamp_ns: int) -> Message:
-        """The returns of one revolution as a PointCloud2: x y z intensity ring time, time in seconds from the stamp.
+        """Make a PointCloud2 of one message, `time` in seconds from its stamp.
 
-        raws: one message, which holds the revolution and its stamp. Raises CloudError where the packets are of no sensor that
-        velodyne-decoder knows.
+        Raises CloudError where velodyne-decoder does not know the sensor.
         """
         scan = self._bag.deserialize(raws[0])
         stamp = scan.header.stamp
         packets = self._velodyne.PacketVector()
         for packet in scan.packets:
-            since_s = (packet.stamp.sec - stamp.sec) + 1e-9 * (int(packet.stamp.nanosec) - int(stamp.nanosec))
-            packets.append(self._velodyne.VelodynePacket(_ANY_TIME_S + since_s, packet.data.tolist()))
+            nanoseconds = int(packet.stamp.nanosec) - int(stamp.nanosec)
+            since_s = (packet.stamp.sec - stamp.sec) + 1e-9 * nanoseconds
+            data = packet.data.tolist()
+            packets.append(self._velodyne.VelodynePacket(_ANY_TIME_S + since_s, data))
         points = np.zeros(0, VELODYNE_POINT)
         if len(scan.packets):
             try:
                 start, decoded = self._decoder.decode(packets, as_pcl_structs=True)
             except (RuntimeError, ValueError, IndexError) as error:
                 raise CloudError(
-                    f"{self._topic}: the packets cannot be decoded ({error}); decode them with the sensor's own driver "
-                    "and record its PointCloud2"
+                    f"{self._topic}: the packets cannot be decoded ({error}); decode them with the "
+                    "sensor's own driver and record its PointCloud2"
                 ) from error
             points = np.zeros(len(decoded), VELODYNE_POINT)
-            points[["x", "y", "z", "intensity", "ring"]] = decoded[["x", "y", "z", "intensity", "ring"]]
+            names = ["x", "y", "z", "intensity", "ring"]
+            points[names] = decoded[names]
             points["time"] = decoded["time"] + np.float32(float(start.host) - _ANY_TIME_S)
         return make_cloud(self._bag.typestore, scan.header, points[None])

@@ -9,6 +9,7 @@ import numpy as np
 
 from ffmap.app.analysis.evaluation import evaluate_run
 from ffmap.app.commands import compare as compare_command
+from ffmap.app.commands import info as info_command
 from ffmap.app.commands import rooms as rooms_command
 from ffmap.app.commands import runs as runs_command
 from ffmap.app.folder.finished_run import open_run
@@ -19,7 +20,6 @@ from ffmap.app.setup.settings import as_toml, load_settings
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.info import describe_bag
 from ffmap.loaders.rig_file import read_rig_file
 from ffmap.loaders.scans import read_scans
 from ffmap.loaders.trajectory_file import read_pose_topic, read_tum, write_tum
@@ -32,7 +32,7 @@ def look_over_bag(path: Path, options: RunOptions | None = None) -> None:
     options = options or RunOptions()
     found: list[Inputs] = []
     steps: list[Callable[[], object]] = [
-        lambda: describe_bag(path, options.rig, time_from=options.time_from),
+        lambda: info_command.describe(path, options.rig, time_from=options.time_from),
         lambda: found.append(find_inputs(path, options)),
         lambda: _read_all(found[0]) if found else None,
         lambda: _read_rest(path),

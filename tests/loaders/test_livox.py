@@ -94,7 +94,7 @@ def test_a_message_that_holds_fewer_points_than_it_says_is_skipped(tmp_path: Pat
         decoding = find_rig(bag).horizontal.decoding  # type: ignore[union-attr]
         read = [scan for _, scan in read_scans(bag, index_clouds(bag, "/livox/lidar"), 0, None, decoding)]
     assert [isinstance(scan, SkippedScan) for scan in read] == [False, True, False]
-    assert f"says that it has {POINTS + 5} points and holds fewer" in read[1].reason  # type: ignore[union-attr]
+    assert "contains fewer" in read[1].reason  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("version", [1, 2])

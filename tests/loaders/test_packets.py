@@ -8,7 +8,7 @@ import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from ffmap.loaders.info import describe_bag
+from ffmap.app.commands.info import describe
 from ffmap.loaders.sensors.packets import UNREAD_TYPES
 from tests.loaders.bag_builder import CLOUD, PERIOD_NS, START_NS, cloud, sweep
 from tests.program import ffmap_here
@@ -45,16 +45,16 @@ def test_a_bag_of_nothing_else_is_refused_in_a_line(tmp_path: Path, msgtype: str
 
 @pytest.mark.parametrize("msgtype", UNREAD_TYPES)
 def test_beside_clouds_they_are_warned_of(tmp_path: Path, msgtype: str) -> None:
-    info = describe_bag(bag_of(tmp_path / "a.bag", msgtype, with_clouds=True))
-    assert [found.index.topic for found in info.clouds] == ["/points"]
-    assert info.rig.horizontal.topic == "/points"
-    assert sum("/packets" in line for line in (*info.warnings, *info.missing)) == 1
+    lines = describe(bag_of(tmp_path / "a.bag", msgtype, with_clouds=True))
+    assert [line for line in lines if line.startswith("lidar ")] == ["lidar /points"]
+    assert "  horizontal: /points (the only lidar)" in lines
+    assert sum(line.startswith("  /packets: ") for line in lines) == 1
 
 
 def test_compressed_clouds_are_named_with_what_decompresses_them(tmp_path: Path) -> None:
     msgtype = "draco_point_cloud_transport/msg/CompressedPointCloud2"
-    problem = describe_bag(bag_of(tmp_path / "a.bag", msgtype, topic="/side/points/draco")).rig_problem
-    assert problem is not None
+    lines = describe(bag_of(tmp_path / "a.bag", msgtype, topic="/side/points/draco"))
+    (problem,) = (line for line in lines if line.startswith("  not found: "))
     assert f"/side/points/draco: compressed clouds ({msgtype}) are not read" in problem
     command = "rosrun point_cloud_transport republish draco in:=/side/points raw out:=/side/points"
     assert f"`{command}` and record /side/points" in problem

@@ -31,10 +31,10 @@ def test_a_printed_rig_is_a_rig_file_and_run_json_says_which_was_used(tmp_path: 
     for name, options in {"auto": [], "named": ["--rig", "mars"], "file": ["--rig", str(mine)]}.items():
         info = ffmap_here(environment, "info", bag, *options)
         assert info.returncode == 0, info.stderr
-        said[name] = next(line for line in info.stdout.splitlines() if "mounts from" in line)
+        said[name] = next(line for line in info.stdout.splitlines() if "extrinsics from" in line)
         assert ("by its topics and frames" in info.stdout) == (name == "auto")
-    assert said["auto"] == said["named"] == "  mounts from: the built-in rig mars"
-    assert said["file"] == f"  mounts from: the rig file {mine}"
+    assert said["auto"] == said["named"] == "  extrinsics from: the built-in rig mars"
+    assert said["file"] == f"  extrinsics from: the rig file {mine}"
     words = ("run", bag, "--out", tmp_path / "run", "--detail", "map", "--quiet")
     done = ffmap_here(environment, *words)
     assert done.returncode == 0, done.stderr
