@@ -5,19 +5,19 @@ import pytest
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.scan.point_lines import SAMPLES, PointLines, make_point_lines
+from ffmap.algorithms.scan.point_lines import SAMPLES, make_point_lines
 from tests.corridor import METHOD, T_BASE_SENSOR, labelled
 from tests.synthetic import scan_of
 
 
 def test_point_lines_have_exactly_200_returns_from_below_upwards() -> None:
-    scan, _placed, _, found = labelled()
+    scan, _, _, found = labelled()
     lines = found.lines
     assert lines.samples.shape == (64, SAMPLES)
     assert sorted(lines.order.tolist()) == list(range(len(scan)))
-    # Eq. 1, unfolded: the angle about the spin axis from straight down, to what single precision leaves of it.
+    # Eq. 1, unfolded: the angle about the spin axis from straight down, in single precision.
     down = transforms.invert(T_BASE_SENSOR)[:3, :3] @ np.array([0.0, 0.0, -1.0])
-    radial = scan.points_sensor[:, :2] / np.linalg.norm(scan.points_sensor[:, :2], axis=1, keepdims=True)
+    radial = scan.points_sensor[:, :2] / np.linalg.norm(scan.points_sensor[:, :2], axis=1)[:, None]
     angle_rad = np.arccos(np.clip(radial @ down[:2], -1, 1))
     for line in range(64):
         own = lines.order[lines.starts[line] : lines.starts[line + 1]]
@@ -25,29 +25,30 @@ def test_point_lines_have_exactly_200_returns_from_below_upwards() -> None:
         assert np.all(np.diff(angle_rad[own]) > -1e-3)
     full = lines.samples[lines.samples[:, 0] >= 0]
     assert np.all(np.diff(angle_rad[full], axis=1) > -1e-3)
-    assert not np.any(np.isin(found.label[full], [Label.FLOOR, Label.CEILING]) & (found.plane[full] < 0))
+    is_horizontal = np.isin(found.label[full], [Label.FLOOR, Label.CEILING])
+    assert not np.any(is_horizontal & (found.plane[full] < 0))
 
 
-def test_of_an_upright_spin_axis_no_emitter_has_lines() -> None:
+@pytest.mark.parametrize(("tilt_deg", "has_lines"), [(0.0, False), (14.9, False), (15.1, True)])
+def test_an_upright_spin_axis_has_no_lines_of_emitters(tilt_deg: float, has_lines: bool) -> None:
     scan, _, _, _ = labelled()
-
-    def lines(tilt_deg: float) -> PointLines:
-        down = np.array([np.sin(np.radians(tilt_deg)), 0.0, -np.cos(np.radians(tilt_deg))])
-        return make_point_lines(scan, down, np.zeros(len(scan), bool), METHOD.rearrangement)
-
-    for tilt_deg in (0.0, 15.0 - 0.1):
+    down = np.array([np.sin(np.radians(tilt_deg)), 0.0, -np.cos(np.radians(tilt_deg))])
+    inputs = scan, down, np.zeros(len(scan), bool), METHOD.rearrangement
+    if has_lines:
+        assert len(make_point_lines(*inputs).order) == len(scan)
+    else:
         with pytest.raises(ValueError, match="upright"):
-            lines(tilt_deg)
-    assert len(lines(15.0 + 0.1).order) == len(scan)
+            make_point_lines(*inputs)
 
 
 @pytest.mark.parametrize("down_deg", [-180.0, -179.0, -90.0, -0.01, 0.0, 30.0, 179.0, 180.0])
-def test_a_ring_is_cut_at_straight_down_and_straight_up_wherever_it_begins(down_deg: float) -> None:
-    """Three rings: one goes all round, one lies in one half, one has no return."""
+def test_a_ring_is_cut_at_straight_down_and_straight_up(down_deg: float) -> None:
+    """Three rings: a whole turn, one within a half turn, one without returns."""
     random = np.random.default_rng(7)
-    azimuth_deg = np.concatenate([random.permutation(360) - 179.75, np.linspace(40.0, 50.0, 30) + down_deg])
+    half = np.linspace(40.0, 50.0, 30) + down_deg
+    azimuth_deg = np.concatenate([random.permutation(360) - 179.75, half])
     azimuth_rad = np.radians(azimuth_deg)
-    points = np.column_stack([np.cos(azimuth_rad), np.sin(azimuth_rad), np.zeros(len(azimuth_rad))])
+    points = np.column_stack([np.cos(azimuth_rad), np.sin(azimuth_rad), np.zeros(390)])
     scan = scan_of(points, np.repeat([0, 2], [360, 30]), 3)
     down = np.array([np.cos(np.radians(down_deg)), np.sin(np.radians(down_deg)), 0.0])
     lines = make_point_lines(scan, down, np.zeros(len(scan), bool), METHOD.rearrangement)
@@ -57,4 +58,5 @@ def test_a_ring_is_cut_at_straight_down_and_straight_up_wherever_it_begins(down_
             line = 2 * ring + side
             own = rows[sign * from_down_deg[rows] > 0.0]
             expected = own[np.argsort(np.abs(from_down_deg[own]))]
-            np.testing.assert_array_equal(lines.order[lines.starts[line] : lines.starts[line + 1]], expected)
+            found = lines.order[lines.starts[line] : lines.starts[line + 1]]
+            np.testing.assert_array_equal(found, expected)
