@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
@@ -92,7 +91,7 @@ class Scan:
     @cached_property
     def rings(self) -> RingOrder:
         """The returns along the rings, for smoothing and point lines."""
-        turn = _azimuth(self.points_sensor)
+        turn = np.arctan2(self.points_sensor[:, 1], self.points_sensor[:, 0])
         order, starts = sort_groups(self.ring, turn, self.ring_count)
         rank = np.empty_like(order)
         rank[order] = np.arange(len(order), dtype=np.int32)
@@ -109,31 +108,6 @@ def sort_groups(group: IntArray, key: FloatArray, groups: int) -> tuple[IntArray
     np.cumsum(np.bincount(group, minlength=groups), out=starts[1:])
     # Of 16 bits, groups are sorted by radix.
     return np.lexsort((key, group.astype(np.uint16, copy=False))).astype(np.int32), starts
-
-
-@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def _azimuth(points: FloatArray) -> FloatArray:  # pragma: no cover
-    """Angle of each return about z from x towards y, -π to π, by a polynomial.
-
-    Within 1.2e-5 rad, a fraction of an encoder's step (Abramowitz and Stegun, 4.4.47). Without
-    branches, so that the compiler vectorizes it.
-    """
-    turn = np.empty(len(points), np.float32)
-    for i in range(len(points)):
-        x, y = points[i, 0], points[i, 1]
-        ax, ay = abs(x), abs(y)
-        steep = ay > ax
-        ratio = (ax if steep else ay) / max(max(ax, ay), np.float32(1e-30))
-        s = ratio * ratio
-        a = np.float32(0.0208351)
-        a = a * s - np.float32(0.0851330)
-        a = a * s + np.float32(0.1801410)
-        a = a * s - np.float32(0.3302995)
-        a = (a * s + np.float32(0.9998660)) * ratio
-        a = np.float32(np.pi / 2) - a if steep else a
-        a = np.float32(np.pi) - a if x < 0 else a
-        turn[i] = -a if y < 0 else a
-    return turn
 
 
 def within_range(scan: Scan, range_max_m: float) -> Scan:
