@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,20 @@ from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.progress import Progress
 from ffmap.app.record.calibration import write_calibration
-from ffmap.app.run.mount_check import CheckedMount, check_mounts, map_of, scans_of
-from ffmap.app.run.stage_mounts import drive_alone, mount_by_motion
+from ffmap.app.run.extrinsics import (
+    CheckedExtrinsics,
+    check_extrinsics,
+    drive_alone,
+    extrinsics_by_motion,
+)
+from ffmap.app.run.sampled_scans import map_of, scans_of
 from ffmap.app.setup.inputs import Inputs, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.app.tables import make_table, table_console
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.fingerprint import fingerprint
 
 _SCANS, _RETURNS = 200, 60_000
 """Number of scans of each lidar, spread over the drive, and of the vertical lidar's returns."""
@@ -63,20 +70,22 @@ def calibrate(
         )
     settings = load_settings(None, [])
     with Progress(options.quiet) as progress:
-        odometry = drive_alone(inputs, horizontal, settings, seconds, progress)
+        hash_bag = partial(fingerprint, inputs.bag_path)
+        drive = partial(drive_alone, inputs, settings, seconds, hash_bag, progress)
+        odometry = drive(horizontal)
         if from_motion:
             seen = map_of(inputs, odometry, settings, _SCANS)
             first = []
             for sensor in inputs.others:
-                found = mount_by_motion(inputs, sensor, odometry, seen, settings, seconds, progress)
+                found = extrinsics_by_motion(inputs, sensor, odometry, seen, settings, drive)
                 if isinstance(found, str):
                     raise InputError(f"{bag}: {found}")
                 first.append(found)
             inputs = inputs.with_mounts(first)
         progress.stage("extrinsics", None)
-        checked: list[CheckedMount] = []
+        checked: list[CheckedExtrinsics] = []
         if len(odometry) > 1:
-            checked = check_mounts(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS)
+            checked = check_extrinsics(inputs, odometry, settings, _SCANS, _SCANS, _RETURNS)
         topics = {sensor.lidar.topic for sensor in inputs.others}
         if unseen := sorted(topics - {mount.topic for mount in checked}):
             raise InputError(
@@ -108,7 +117,7 @@ def _placed(inputs: Inputs, odometry: Trajectory, settings: Settings) -> FloatAr
     return np.concatenate([p.to_map(p.points_level[::4]) for p in placed])
 
 
-def _rig_text(inputs: Inputs, checked: Sequence[CheckedMount]) -> str:
+def _rig_text(inputs: Inputs, checked: Sequence[CheckedExtrinsics]) -> str:
     """The rig file of all lidars."""
     text = [
         f"# {mount.topic}: surfaces of both lidars were {100 * mount.found.rms_before_m:.1f} cm "
@@ -135,7 +144,7 @@ def _rig_text(inputs: Inputs, checked: Sequence[CheckedMount]) -> str:
     return "\n".join(text) + "\n"
 
 
-def _print(checked: CheckedMount) -> None:
+def _print(checked: CheckedExtrinsics) -> None:
     found = checked.found
     if not checked.alone:
         typer.echo(f"{checked.topic}:")

@@ -1,7 +1,6 @@
 """ffmap run: make a run folder from a bag and print a summary of five lines."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +9,9 @@ import typer
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import METRICS, RUN_JSON, RunFolder, point_latest_at
 from ffmap.app.own_command import view_command
+from ffmap.app.pipeline import carry_out, interruptible
 from ffmap.app.progress import Progress
-from ffmap.app.run.start import Ready, carry_out, interruptible, make_ready, make_ready_again
+from ffmap.app.run.start import Run, new_run, resumed_run
 from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Output
@@ -34,22 +34,22 @@ def run(
 
     Raises InputError if the input is unusable or `out` holds another run.
     """
-    with ExitStack() as stack:
-        ready = make_ready(stack, bag, settings, options, out, overwrite)
-        _perform(ready, latest)
+    with new_run(bag, settings, options, out, overwrite) as prepared:
+        _perform(prepared, latest)
 
 
 def resume(folder: Path, options: RunOptions) -> None:
     """Continue a run that was killed, unless it is complete."""
-    with ExitStack() as stack:
-        ready = make_ready_again(stack, folder, options)
-        if ready is not None:
-            _perform(ready, latest=True)
+    with resumed_run(folder, options) as prepared:
+        if prepared is None:
+            typer.echo(f"{folder} is complete already; nothing to resume")
+        else:
+            _perform(prepared, latest=True)
 
 
-def _perform(ready: Ready, latest: bool) -> None:
-    options, inputs = ready.options, ready.inputs
-    folder, record = ready.folder, carry_out(ready)
+def _perform(prepared: Run, latest: bool) -> None:
+    options, inputs = prepared.options, prepared.inputs
+    folder, record = prepared.folder, carry_out(prepared)
     if latest:
         point_latest_at(folder.path.resolve())
     quality = "unknown: the evaluation failed, see the error below"

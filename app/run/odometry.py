@@ -1,20 +1,11 @@
-"""The odometry of a bag: registered in a process of its own, for KISS-ICP holds the interpreter's lock, and cached.
-
-The key under which it is cached holds all that a pose depends on and no labelling setting, so that a sweep over labelling
-settings costs one odometry.
-"""
+"""The odometry of a bag: register the horizontal scans and close loops (paper, IV.A), cached."""
 
 import hashlib
 import json
-import queue
-import threading
-import traceback
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import pairwise
-from multiprocessing.connection import Connection
 
 import numpy as np
 
@@ -23,158 +14,144 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import GAP_PERIODS, Trajectory
 from ffmap.algorithms.poses.odometry import Registration, doubt
 from ffmap.algorithms.poses.pose_graph import PoseGraph
-from ffmap.app.run import odometry_cache
-from ffmap.app.run.arrays import Arrays, pack, pack_rows, unpack, unpack_rows
-from ffmap.app.run.workers import WorkerLostError, process_context, start_as_worker
-from ffmap.app.setup.inputs import Inputs, Sensor, digest_clouds, digest_stamps, total_digest
+from ffmap.app.run.odometry_cache import CacheWriter, read_cached
+from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
-from ffmap.loaders.cloud_digest import joined
-from ffmap.loaders.errors import InputError
-from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
+from ffmap.loaders.scans import SkippedScan, read_scans
 
-_PER_FILE = 50
-_WAITING = 64
-"""Results that the odometry process keeps back while the run's own process is busy."""
-_FORMAT = 12
+_COMPANION_NS = 200_000_000
+"""Maximum age (ns) of the other lidar's scan that is registered with one of the horizontal lidar."""
+_FORMAT = 13
 """Raised whenever a change to reading or registering scans changes poses."""
-_RAGGED = ("keypoints_sensor", "local_map_odom")
-"""What each registration has another number of."""
 
 
 @dataclass(frozen=True)
-class _Read:
-    """The end of an odometry: the digest of all clouds that were read, by topic."""
-
-    clouds: dict[str, str]
-
-
-_Result = Registration | SkippedScan | PoseGraph | _Read
-
-
-def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
-    """What the poses depend on but for the clouds' bytes, as a name."""
-    sensors = _sensors(inputs, sensor, settings)
-    content = {
-        "format": _FORMAT,
-        "stamps": list(digest_stamps(sensors).items()),
-        "time_from": sensor.lidar.decoding.time_from,
-        "rig": [[s.lidar.T_base_sensor.tolist(), s.lidar.decoding.clock_ns] for s in sensors],
-        "own_body": [None if (b := s.lidar.decoding.own_body) is None else b.voxel.tolist() for s in sensors],
-        "kiss_icp": version("kiss-icp"),
-        "small_gicp": version("small_gicp"),
-        "gtsam": version("gtsam"),
-        **settings.model_dump(mode="json", include={"scan", "odometry", "refinement", "pose_graph", "trajectory"}),
-    }
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
-
-
 class Odometry:
-    """The registration of every usable horizontal scan in order, and after them the loops that were closed.
+    """All registered scans of a drive, in their order.
 
-    What is not cached is registered while it is iterated over, once, and cached when that has come to its end.
+    index: (n,) number of each cloud. stamp_ns: (n,). T_odom_sensor: (n, 4, 4) as registered.
+    pose_graph: None where loops are not closed. doubts: place among the scans of the first one
+    after a gap, and why its pose may be wrong. failed: scans whose registration raised an exception;
+    none from the cache.
     """
 
-    def __init__(self, inputs: Inputs, sensor: Sensor, settings: Settings) -> None:
-        key = cache_key(inputs, sensor, settings)
-        self.cache_warning: str | None = None
-        """What went wrong with the cache; None where nothing did. Known once all has been iterated over."""
-        cached = self._look_up(key, inputs, _sensors(inputs, sensor, settings))
-        self.from_cache = cached is not None
-        self._source = cached if cached is not None else self._register_and_keep(key, inputs, sensor, settings)
-        self._T_sensor_base = transforms.invert(sensor.lidar.T_base_sensor)
-        self._gap_ns = GAP_PERIODS * (sensor.index.period_ns or np.inf)
-        self._clouds_ns = sensor.index.stamp_ns[sensor.index.usable]
-        self._number_of = np.cumsum(sensor.index.usable) - 1  # of each cloud among those that are usable
-        self._numbers: list[int] = []
-        self._doubts: list[tuple[int, str]] = []
-        self._stamps: list[int] = []
-        self._T_odom_sensor: list[FloatArray] = []
-        self.pose_graph: PoseGraph | None = None
-        """None before the end, and where loops are not to be closed."""
-        self.clouds: Mapping[str, str] = {}
-        """The digest of all clouds of each topic that was read; empty before the end."""
-        self.failed: list[SkippedScan] = []
-        """Scans so far whose registration raised an exception; none from the cache."""
+    sensor: Sensor
+    index: IntArray
+    stamp_ns: IntArray
+    T_odom_sensor: FloatArray
+    pose_graph: PoseGraph | None
+    doubts: tuple[tuple[int, str], ...]
+    failed: tuple[SkippedScan, ...]
+    cached: bool
+    cache_warning: str | None
 
-    def __iter__(self) -> Iterator[Registration]:
-        for result in self._source:
-            match result:
-                case PoseGraph():
-                    self.pose_graph = result
-                case _Read():
-                    self.clouds = result.clouds
-                case SkippedScan():
-                    self.failed.append(result)
-                case Registration():
-                    if (why := doubt(result)) is not None:
-                        self._doubts.append((len(self._stamps), why))
-                    self._stamps.append(result.stamp_ns)
-                    self._numbers.append(int(self._number_of[result.index]))
-                    self._T_odom_sensor.append(result.T_odom_sensor)
-                    yield result
-
-    def __len__(self) -> int:
-        """How many scans have been registered so far."""
-        return len(self._stamps)
+    @property
+    def registered(self) -> Trajectory:
+        """T_odom_base as registered."""
+        return self._of_base(self.T_odom_sensor)
 
     @property
     def trajectory(self) -> Trajectory:
-        """T_odom_base of the scans so far; of all of them with the loops closed."""
-        if self.pose_graph is None:
-            return self.registered()
-        poses = self.pose_graph.corrected(np.array(self._T_odom_sensor).reshape(-1, 4, 4))
-        return Trajectory(np.array(self._stamps, np.int64), poses @ self._T_sensor_base, self._gap_ns)
-
-    @property
-    def stamp_ns(self) -> Sequence[int]:
-        """Of the scans so far."""
-        return self._stamps
-
-    def registered(self, first: int = 0, last: int | None = None) -> Trajectory:
-        """T_odom_base of the scans so far as they were registered, or of those from `first` up to `last`."""
-        poses = np.array(self._T_odom_sensor[first:last]).reshape(-1, 4, 4)
-        return Trajectory(np.array(self._stamps[first:last], np.int64), poses @ self._T_sensor_base, self._gap_ns)
+        """T_odom_base with loops closed."""
+        graph = self.pose_graph
+        return self._of_base(graph.corrected(self.T_odom_sensor) if graph else self.T_odom_sensor)
 
     @property
     def warnings(self) -> list[str]:
-        """Which parts of the drive could not be joined to what was seen before, or may be at a wrong place."""
-        return unjoined_parts(self._stamps, self._numbers, self._doubts, self._clouds_ns, self._gap_ns)
+        """Name the parts of the drive that have no pose, or one that may be wrong."""
+        clouds = self.sensor.index
+        number_of = np.cumsum(clouds.usable) - 1  # of each cloud among the usable ones
+        stamps_ns, numbers = self.stamp_ns.tolist(), number_of[self.index].tolist()
+        usable_ns = clouds.stamp_ns[clouds.usable]
+        return unjoined_parts(stamps_ns, numbers, self.doubts, usable_ns, self._gap_ns)
 
-    def _look_up(self, key: str, inputs: Inputs, sensors: Sequence[Sensor]) -> Iterator[_Result] | None:
-        # The clouds are read for their digest only where there may be something to find with it.
-        if not odometry_cache.has_any(key):
-            return None
-        clouds = digest_clouds(inputs.bag_path, sensors)
-        found = odometry_cache.look_up(key, total_digest(clouds))
-        if found.damage is not None:
-            self.cache_warning = (
-                f"the odometry in the cache {odometry_cache.cache_folder()} was damaged ({found.damage}); it was thrown away "
-                "and is computed anew"
-            )
-        return None if found.files is None else _from_files(found.files, clouds)
+    @property
+    def _gap_ns(self) -> float:
+        return GAP_PERIODS * (self.sensor.index.period_ns or np.inf)
 
-    def _register_and_keep(self, key: str, inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[_Result]:
-        waiting: list[Registration] = []
-        with odometry_cache.Writer(key) as writer:
-            for result in _register(inputs, sensor, settings):
-                if waiting and (not isinstance(result, Registration) or len(waiting) == _PER_FILE):
-                    writer.add(pack_rows(waiting, _RAGGED))
-                    waiting = []
-                match result:
-                    case Registration():
-                        waiting.append(result)
-                    case PoseGraph():
-                        writer.add(pack(result))
-                    case _Read():
-                        writer.complete(total_digest(result.clouds))
-                yield result
-        if writer.failure is not None:
-            self.cache_warning = (
-                f"the odometry cannot be kept in the cache {odometry_cache.cache_folder()} ({writer.failure}); the next run "
-                f"computes it again, unless {odometry_cache.CACHE_VARIABLE} names a folder that can be written"
-            )
+    def _of_base(self, T_odom_sensor: FloatArray) -> Trajectory:
+        T_sensor_base = transforms.invert(self.sensor.lidar.T_base_sensor)
+        return Trajectory(self.stamp_ns, T_odom_sensor @ T_sensor_base, self._gap_ns)
+
+
+def run_odometry(
+    inputs: Inputs,
+    sensor: Sensor,
+    settings: Settings,
+    fingerprint: Callable[[], str],
+    on_scan: Callable[[Registration], None] = lambda registration: None,
+    on_failure: Callable[[Sequence[SkippedScan]], None] = lambda failed: None,
+) -> Odometry:
+    """Register all usable scans of a lidar, or read them from the cache.
+
+    fingerprint: of the bag; called where the cache may contain its odometry, and at the end.
+    on_scan: is called for each registration. on_failure: is called with all failed scans so far.
+    """
+    key = cache_key(inputs, sensor, settings)
+    cached = read_cached(key, fingerprint)
+    failed: list[SkippedScan] = []
+
+    def fail(cloud: SkippedScan) -> None:
+        failed.append(cloud)
+        on_failure(failed)
+
+    writer = CacheWriter(key, fingerprint) if cached.results is None else None
+    computed = _register(inputs, sensor, settings, fail)
+    results = writer.keep(computed) if writer is not None else cached.results
+    assert results is not None
+    index: list[int] = []
+    stamp_ns: list[int] = []
+    T_odom_sensor: list[FloatArray] = []
+    doubts: list[tuple[int, str]] = []
+    pose_graph: PoseGraph | None = None
+    for result in results:
+        if isinstance(result, PoseGraph):
+            pose_graph = result
+            continue
+        if (why := doubt(result)) is not None:
+            doubts.append((len(index), why))
+        index.append(result.index)
+        stamp_ns.append(result.stamp_ns)
+        T_odom_sensor.append(result.T_odom_sensor)
+        on_scan(result)
+    return Odometry(
+        sensor=sensor,
+        index=np.array(index, np.int64),
+        stamp_ns=np.array(stamp_ns, np.int64),
+        T_odom_sensor=np.array(T_odom_sensor).reshape(-1, 4, 4),
+        pose_graph=pose_graph,
+        doubts=tuple(doubts),
+        failed=tuple(failed),
+        cached=writer is None,
+        cache_warning=cached.damage or (writer.failure if writer else None),
+    )
+
+
+def cache_key(inputs: Inputs, sensor: Sensor, settings: Settings) -> str:
+    """Name everything that poses depend on but the bag: no setting of labelling is among it."""
+    companion = _companion(inputs, settings)
+    sensors = [sensor] if companion is None else [sensor, companion]
+    content = {
+        "format": _FORMAT,
+        "lidars": [
+            {
+                "topic": s.lidar.topic,
+                "clouds": len(s.index),
+                "T_base_sensor": s.lidar.T_base_sensor.tolist(),
+                "clock_ns": s.lidar.decoding.clock_ns,
+                "time_from": s.lidar.decoding.time_from,
+                "own_body": b.voxel.tolist() if (b := s.lidar.decoding.own_body) else None,
+            }
+            for s in sensors
+        ],
+        **{name: version(name) for name in ("kiss-icp", "small_gicp", "gtsam")},
+        **settings.model_dump(
+            mode="json", include={"scan", "odometry", "refinement", "pose_graph", "trajectory"}
+        ),
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def unjoined_parts(
@@ -184,153 +161,78 @@ def unjoined_parts(
     clouds_ns: IntArray,
     gap_ns: float,
 ) -> list[str]:
-    """Warn of the parts of a drive that have no pose, or one that may be wrong, each with its time from the first cloud.
+    """Describe the parts of a drive that have no pose, or one that may be wrong.
 
-    stamps_ns, numbers: of the scans with a pose; numbers count in the usable clouds, whose stamps are clouds_ns. doubts: place
-    among these scans of the first one after a gap, and why it may be wrong. gap_ns: what a longer step between poses is.
+    stamps_ns, numbers: of the registered scans; the number of each among the usable clouds.
+    doubts: as in `Odometry`. clouds_ns: of the usable clouds. gap_ns: a longer step is a gap.
     """
     ends = [*zip(stamps_ns, numbers, strict=True), (int(clouds_ns[-1]), len(clouds_ns))]
 
     def part(at_ns: int, end_ns: int, count: int) -> str:
-        return f"the {(end_ns - at_ns) / 1e9:.1f} s after {(at_ns - clouds_ns[0]) / 1e9:.1f} s ({count} scans)"
+        at_s, seconds = (at_ns - clouds_ns[0]) / 1e9, (end_ns - at_ns) / 1e9
+        return f"the {seconds:.1f} s after {at_s:.1f} s ({count} scans)"
 
     found = []
     for (at_ns, number), (next_ns, next_number) in pairwise(ends):
         count = next_number - number - 1
         if count > 1 and next_ns - at_ns > gap_ns:
-            lost = f"{part(at_ns, next_ns, count)} could not be joined to the map"
-            found.append(f"{lost} and are left out; to map them, cut them out as a bag of their own")
+            found.append(
+                f"{part(at_ns, next_ns, count)} could not be joined to the map and are left out; "
+                "to map them, cut them out as a bag of their own"
+            )
     for (place, why), (until, _) in pairwise([*doubts, (len(stamps_ns), "")]):
         doubtful = part(stamps_ns[place - 1], ends[until - 1][0], until - place)
-        found.append(f"{doubtful} could not be joined to the map for certain, and may lie at a wrong place: {why}")
+        found.append(
+            f"{doubtful} could not be joined to the map for certain, and may be at a wrong place: "
+            f"{why}"
+        )
     return found
 
 
-def _from_files(files: Sequence[Arrays], clouds: dict[str, str]) -> Iterator[_Result]:
-    for columns in files:
-        if "index" in columns:
-            yield from unpack_rows(Registration, columns, _RAGGED)
-        else:
-            yield unpack(PoseGraph, columns)
-    yield _Read(clouds)
-
-
-def _register(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[_Result]:
-    """Raises WorkerLostError where the process is killed, and what went wrong in it."""
-    context = process_context()
-    receiving, sending = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_odometry_process, args=(inputs, sensor, settings, sending), name="odometry", daemon=True
-    )
-    process.start()
-    # The process alone holds the other end, so that its death ends what is read here, were it in the middle of a message.
-    sending.close()
-    try:
-        while True:
-            try:
-                result = receiving.recv()
-            except (EOFError, OSError):
-                process.join()
-                raise WorkerLostError.of("the odometry's process", process.exitcode) from None
-            if isinstance(result, InputError | MemoryError):
-                raise result
-            if isinstance(result, str):
-                raise RuntimeError(f"the odometry failed:\n{result}")
-            yield result
-            if isinstance(result, _Read):
-                return
-    finally:
-        process.kill()
-        process.join()
-        receiving.close()
-
-
-def _odometry_process(inputs: Inputs, sensor: Sensor, settings: Settings, connection: Connection) -> None:
-    start_as_worker()
-    outbox: queue.Queue[_Result | Exception | str | None] = queue.Queue(_WAITING)
-    sender = threading.Thread(target=_send, args=(outbox, connection))
-    sender.start()
-    try:
-        for result in _registered(inputs, sensor, settings):
-            outbox.put(result)
-    except (InputError, MemoryError) as error:
-        outbox.put(error)
-    except Exception:
-        outbox.put(traceback.format_exc())
-    outbox.put(None)
-    sender.join()
-
-
-def _send(outbox: "queue.Queue[_Result | Exception | str | None]", connection: Connection) -> None:
-    # Where the run has ended, this process is about to end too.
-    with suppress(BrokenPipeError):
-        while (result := outbox.get()) is not None:
-            connection.send(result)
-
-
-def _registered(inputs: Inputs, sensor: Sensor, settings: Settings) -> Iterator[_Result]:
-    # Imported here: only this process needs KISS-ICP.
+def _register(
+    inputs: Inputs, sensor: Sensor, settings: Settings, fail: Callable[[SkippedScan], None]
+) -> Iterator[Registration | PoseGraph]:
+    # Imported here: `ffmap info` and worker processes do not need KISS-ICP and GTSAM.
     from ffmap.algorithms.poses.odometry import register_scans
     from ffmap.algorithms.poses.pose_graph import close_loops
 
     companion = _companion(inputs, settings)
-    T_sensor_companion = None
+    T_base_sensor, T_sensor_companion = sensor.lidar.T_base_sensor, None
     if companion is not None:
-        T_sensor_companion = transforms.invert(sensor.lidar.T_base_sensor) @ companion.lidar.T_base_sensor
-    digests: dict[str, list[bytes]] = {}
-    scans = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m, digests)
+        T_sensor_companion = transforms.invert(T_base_sensor) @ companion.lidar.T_base_sensor
+    scans = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m)
     poses: list[FloatArray] = []
     clouds: list[FloatArray] = []
-    failed: list[SkippedScan] = []
-
-    def fail(index: int, scan: Scan, error: Exception) -> None:
-        failed.append(SkippedScan.failed(index, scan.stamp_ns, error))
-
-    T_base_sensor = sensor.lidar.T_base_sensor
     for registration in register_scans(
-        scans, settings.odometry, settings.refinement, T_sensor_companion, T_base_sensor, fail
+        scans,
+        settings.odometry,
+        settings.refinement,
+        T_sensor_companion,
+        T_base_sensor,
+        lambda index, scan, error: fail(SkippedScan.failed(index, scan.stamp_ns, error)),
     ):
-        yield from failed
-        failed.clear()
         yield registration
         poses.append(registration.T_odom_sensor)
         clouds.append(registration.keypoints_sensor)
-    yield from failed
     if settings.pose_graph.enabled:
         yield close_loops(np.array(poses).reshape(-1, 4, 4), clouds, settings.pose_graph)
-    with open_bag(inputs.bag_path) as bag:
-        for read in _sensors(inputs, sensor, settings):
-            # Of the companion, what ended after the last scan was not asked for.
-            known = digests[read.lidar.topic]
-            read_so_far = int(np.searchsorted(np.cumsum(read.index.message_count), len(known), side="right"))
-            known.extend(read_digests(bag, read.index, read_so_far))
-    yield _Read({topic: joined(known).hex() for topic, known in digests.items()})
 
 
 def _companion(inputs: Inputs, settings: Settings) -> Sensor | None:
-    """The other lidar whose scans are registered with the horizontal one's, the first of several; None where it does both jobs."""
-    if inputs.horizontal is None:
+    """Choose the lidar whose scans are registered with the horizontal ones, if any."""
+    refinement = settings.refinement
+    if inputs.horizontal is None or not refinement.enabled or refinement.companion_points_max == 0:
         return None
-    wanted = settings.refinement.enabled and settings.refinement.companion_points_max > 0
-    return next(iter(inputs.others), None) if wanted else None
-
-
-def _sensors(inputs: Inputs, sensor: Sensor, settings: Settings) -> list[Sensor]:
-    """The lidars whose clouds decide the poses."""
-    companion = _companion(inputs, settings)
-    return [sensor] if companion is None else [sensor, companion]
+    return next(iter(inputs.others), None)
 
 
 def _with_companions(
-    bag_path: BagPath, sensor: Sensor, companion: Sensor | None, range_max_m: float, digests: dict[str, list[bytes]]
+    bag_path: BagPath, sensor: Sensor, companion: Sensor | None, range_max_m: float
 ) -> Iterator[tuple[int, Scan, Scan | None]]:
-    """The usable scans in order; beside each the companion's last one that ended before it, once.
-
-    digests: takes those of all clouds that are read, by topic.
-    """
-    others = _usable_scans(bag_path, companion, range_max_m, digests) if companion is not None else iter(())
+    """Read the usable scans; with each the companion's last scan that ended before it, once."""
+    others = _usable_scans(bag_path, companion, range_max_m) if companion is not None else iter(())
     following = next(others, None)
-    for index, scan in _usable_scans(bag_path, sensor, range_max_m, digests):
+    for index, scan in _usable_scans(bag_path, sensor, range_max_m):
         latest: Scan | None = None
         while following is not None and following[1].end_ns <= scan.end_ns:
             latest = following[1]
@@ -340,16 +242,11 @@ def _with_companions(
         yield index, scan, latest
 
 
-_COMPANION_NS = 200_000_000
-"""A companion's scan that ended longer ago says too little of where the sensor is now."""
-
-
 def _usable_scans(
-    bag_path: BagPath, sensor: Sensor, range_max_m: float, digests: dict[str, list[bytes]]
+    bag_path: BagPath, sensor: Sensor, range_max_m: float
 ) -> Iterator[tuple[int, Scan]]:
-    """The usable scans in order, without the returns that are too far away: a registration may fail on them."""
-    own = digests.setdefault(sensor.lidar.topic, [])
+    """Read the usable scans without returns that are too far away: registration fails on those."""
     with open_bag(bag_path) as bag:
-        for index, scan in read_scans(bag, sensor.index, 0, None, sensor.lidar.decoding, own):
+        for index, scan in read_scans(bag, sensor.index, 0, None, sensor.lidar.decoding):
             if isinstance(scan, Scan) and len(near := within_range(scan, range_max_m)):
                 yield index, near

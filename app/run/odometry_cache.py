@@ -1,207 +1,172 @@
-"""The user's cache of odometries: one folder for each bag and setting, believed only when every byte of it is as written.
+"""The user's cache of odometries: one zip file of arrays for each bag and settings.
 
-An entry is named after its key (settings, sensors, times of the clouds) and after the digest of every byte of the clouds
-that it was made from. A cache that cannot be read or written costs time, nothing else.
+Zip files contain checksums: a damaged or cut file is detected when it is read. A cache that cannot
+be read or written costs time, nothing else.
 """
 
-import io
-import json
 import os
-import re
-import shutil
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import Any
 
 import numpy as np
-import xxhash
+import numpy.typing as npt
 
-from ffmap.app.run.arrays import Arrays
+from ffmap.algorithms.poses.odometry import Registration
+from ffmap.algorithms.poses.pose_graph import PoseGraph
+from ffmap.app.run.arrays import Arrays, pack, pack_rows, unpack, unpack_rows
 from ffmap.app.user_cache import CACHE_VARIABLE as CACHE_VARIABLE
 from ffmap.app.user_cache import user_cache
 
 LIMIT_BYTES = 5_000_000_000
-"""The cache is kept below this size; what was not used for longest goes first."""
-
-_COMPLETE = "complete"
-_ENTRY = re.compile(r"[0-9a-f]{24}(-[0-9a-f]{32})?")
-_PART = re.compile(_ENTRY.pattern + r"\.\d+\.part")
+"""Maximum size of the cache; the odometries that were not used for longest are removed first."""
 _ABANDONED_S = 24 * 3600.0
-"""Age in seconds at which an unfinished part is taken for that of a run that was killed."""
-_IN_USE_S = 60.0
-"""Time in seconds after its last use in which another run may still read an entry."""
+"""Age (s) of the unfinished file of a run that was killed."""
+_TOGETHER = 50
+"""Number of registrations in one group of arrays."""
+
+Result = Registration | PoseGraph
 
 
 def cache_folder() -> Path:
-    """Where odometries are kept: in $FFMAP_CACHE, else in $XDG_CACHE_HOME or ~/.cache, or what the system uses instead."""
-    if named := os.environ.get(CACHE_VARIABLE):
-        return Path(named) / "odometry"
-    return user_cache() / "odometry"
+    """Return $FFMAP_CACHE/odometry, or the same in the user's folder of caches."""
+    named = os.environ.get(CACHE_VARIABLE)
+    return (Path(named) if named else user_cache()) / "odometry"
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One odometry in the cache. used_s: when it was made or last taken, in seconds since 1970."""
+class Cached:
+    """The registrations and loops of a bag; None where they are not cached. damage: a warning."""
 
-    path: Path
-    size_bytes: int
-    used_s: float
-
-
-def entry_name(key: str, content: str) -> str:
-    """What the folder of an odometry is called. content: the digest of all clouds that it was made from."""
-    return f"{key}-{content}"
-
-
-def entries() -> list[Entry]:
-    """What the cache holds, last used first; empty where there is no cache."""
-    folder = cache_folder()
-    found = [_describe(path) for path in folder.iterdir() if _ENTRY.fullmatch(path.name)] if folder.is_dir() else []
-    return sorted((entry for entry in found if entry is not None), key=lambda entry: -entry.used_s)
-
-
-def has_any(key: str) -> bool:
-    """Whether the cache holds an odometry with this key, of whatever clouds."""
-    return any(cache_folder().glob(f"{key}-*/{_COMPLETE}"))
-
-
-@dataclass(frozen=True)
-class Lookup:
-    """What the cache had for a key and the digest of the clouds.
-
-    files: the arrays of each file, in the order in which they were written; None where there is no sound entry.
-    damage: what was wrong with an entry, which is gone now; None where nothing was.
-    """
-
-    files: list[Arrays] | None
+    results: Iterator[Result] | None = None
     damage: str | None = None
 
 
-def look_up(key: str, content: str) -> Lookup:
-    """The odometry of these clouds; an entry that is not as it was written is removed."""
-    path = cache_folder() / entry_name(key, content)
-    if not path.is_dir():
-        return Lookup(None)
+def read_cached(key: str, fingerprint: Callable[[], str]) -> Cached:
+    """Look up an odometry; a damaged one is removed. fingerprint: of the bag, which takes time."""
+    if not any(cache_folder().glob(f"{key}-*.zip")):
+        return Cached()
+    path = _path(key, fingerprint())
+    if not path.exists():
+        return Cached()
     try:
-        checksums = json.loads((path / _COMPLETE).read_text())["files"]
-        written = {name: (path / name).read_bytes() for name in checksums}
-        wrong = [name for name, data in written.items() if _checksum(data) != checksums[name]]
-        if wrong:
-            raise ValueError(f"{wrong[0]} is not as it was written")
-        files = [_arrays(data) for data in written.values()]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        _remove(path)
-        return Lookup(None, " ".join(str(error).split()) or type(error).__name__)
-    with suppress(OSError):
-        os.utime(path / _COMPLETE)
-    return Lookup(files)
+        with zipfile.ZipFile(path) as file:
+            if (damaged := file.testzip()) is not None:
+                raise zipfile.BadZipFile(f"wrong checksum of {damaged}")
+        path.touch()
+    except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+        with suppress(OSError):
+            path.unlink()
+        reason = " ".join(str(error).split()) or type(error).__name__
+        return Cached(
+            damage=f"the odometry in the cache {cache_folder()} was damaged ({reason}). It was "
+            "removed and is computed again"
+        )
+    return Cached(_results(path))
 
 
-class Writer:
-    """Keeps the files of one odometry in the cache, all of them or none.
+class CacheWriter:
+    """Writes an odometry to the cache while it is computed. failure: a warning."""
 
-    failure: why nothing is kept, in the system's words; None so far.
-    """
-
-    def __init__(self, key: str) -> None:
-        self._key = key
-        self._part = cache_folder() / f"{key}.{os.getpid()}.part"
-        self._checksums: dict[str, str] = {}
+    def __init__(self, key: str, fingerprint: Callable[[], str]) -> None:
         self.failure: str | None = None
+        self._key, self._fingerprint = key, fingerprint
+        self._part = cache_folder() / f"{key}-{os.getpid()}.part"
+        self._file: zipfile.ZipFile | None = None
+        self._groups = 0
 
-    def __enter__(self) -> Self:
-        with self._noting_failure():
-            shutil.rmtree(self._part, ignore_errors=True)
-            self._part.mkdir(parents=True)
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        shutil.rmtree(self._part, ignore_errors=True)
-
-    def add(self, arrays: Arrays) -> None:
-        """Keep some arrays under their names in a file of their own."""
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **arrays)
-        name = f"{len(self._checksums):06d}.npz"
-        self._write(name, buffer.getvalue())
-        self._checksums[name] = _checksum(buffer.getvalue())
-
-    def complete(self, content: str) -> None:
-        """Let the entry appear, for the clouds with this digest; then make room where the cache is too large."""
-        self._write(_COMPLETE, json.dumps({"files": self._checksums}).encode())
-        if self.failure is not None:
-            return
-        path = cache_folder() / entry_name(self._key, content)
-        with self._noting_failure():
-            _remove(path)
-            self._part.replace(path)
-        _remove_parts(older_than_s=_ABANDONED_S)
-        _keep_below(LIMIT_BYTES)
-
-    def _write(self, name: str, data: bytes) -> None:
-        if self.failure is not None:
-            return
-        with self._noting_failure(), (self._part / name).open("wb") as file:
-            file.write(data)
-            file.flush()
-            # What is named complete must be on the disk, should the power go.
-            os.fsync(file.fileno())
-
-    @contextmanager
-    def _noting_failure(self) -> Iterator[None]:
+    def keep(self, results: Iterable[Result]) -> Iterator[Result]:
+        """Yield the results; the file appears when all have passed."""
+        self._try(self._open)
+        waiting: list[Registration] = []
         try:
-            yield
+            for result in results:
+                if isinstance(result, Registration):
+                    waiting.append(result)
+                if isinstance(result, PoseGraph) or len(waiting) == _TOGETHER:
+                    self._try(self._append, pack_rows(waiting))
+                    waiting = []
+                if isinstance(result, PoseGraph):
+                    self._try(self._append, pack(result, "graph_"))
+                yield result
+            self._try(self._append, pack_rows(waiting))
+            self._try(self._complete)
+        finally:
+            with suppress(OSError):
+                if self._file is not None:
+                    self._file.close()
+                self._part.unlink(missing_ok=True)
+
+    def _open(self) -> None:
+        self._part.parent.mkdir(parents=True, exist_ok=True)
+        self._file = zipfile.ZipFile(self._part, "w")
+
+    def _append(self, arrays: Arrays) -> None:
+        assert self._file is not None
+        if not arrays:
+            return
+        for name, values in arrays.items():
+            with self._file.open(f"{self._groups:06d}/{name}", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, values, allow_pickle=False)
+        self._groups += 1
+
+    def _complete(self) -> None:
+        assert self._file is not None
+        self._file.close()
+        if not self._groups:
+            return
+        self._part.replace(_path(self._key, self._fingerprint()))
+        _make_room()
+
+    def _try(self, step: Callable[..., None], *arguments: Arrays) -> None:
+        if self.failure is not None:
+            return
+        try:
+            step(*arguments)
         except OSError as error:
-            self.failure = str(error.strerror or error)
+            self.failure = (
+                f"the odometry cannot be kept in the cache {cache_folder()} "
+                f"({error.strerror or error}). The next run computes it again, unless "
+                f"{CACHE_VARIABLE} names a folder that can be written"
+            )
 
 
-def _keep_below(limit_bytes: int) -> None:
+def _path(key: str, fingerprint: str) -> Path:
+    return cache_folder() / f"{key}-{fingerprint}.zip"
+
+
+def _results(path: Path) -> Iterator[Result]:
+    with zipfile.ZipFile(path) as file:
+        groups: dict[str, list[str]] = {}
+        for entry in file.namelist():
+            groups.setdefault(entry.partition("/")[0], []).append(entry)
+        for entries in groups.values():
+            arrays = {entry.partition("/")[2]: _array(file, entry) for entry in entries}
+            if "index" in arrays:
+                yield from unpack_rows(Registration, arrays)
+            elif arrays:
+                yield unpack(PoseGraph, arrays, "graph_")
+
+
+def _array(file: zipfile.ZipFile, entry: str) -> npt.NDArray[Any]:
+    with file.open(entry) as opened:
+        return np.asarray(np.lib.format.read_array(opened, allow_pickle=False))
+
+
+def _make_room() -> None:
+    """Remove unfinished files of killed runs, and the odometries that were not used for longest."""
+    folder, now = cache_folder(), time.time()
+    for part in folder.glob("*.part"):
+        if now - part.stat().st_mtime > _ABANDONED_S:
+            part.unlink(missing_ok=True)
+    entries = [(path.stat(), path) for path in folder.glob("*.zip")]
     total = 0
-    for entry in entries():
-        total += entry.size_bytes
-        if total > limit_bytes and time.time() - entry.used_s > _IN_USE_S:
-            _remove(entry.path)
-
-
-def _describe(path: Path) -> Entry | None:
-    """None where another process has just removed it."""
-    try:
-        size = sum(file.stat().st_size for file in path.iterdir())
-        complete = path / _COMPLETE
-        used_s = (complete if complete.exists() else path).stat().st_mtime
-    except OSError:
-        return None
-    return Entry(path, size, used_s)
-
-
-def _remove(path: Path) -> None:
-    """First out of its name, so that nobody takes half an entry for one."""
-    away = path.with_name(f"{path.name[:24]}.{time.time_ns()}.part")
-    try:
-        path.replace(away)
-    except OSError:
-        return
-    shutil.rmtree(away, ignore_errors=True)
-
-
-def _remove_parts(older_than_s: float) -> None:
-    folder = cache_folder()
-    for path in folder.iterdir() if folder.is_dir() else ():
-        try:
-            if _PART.fullmatch(path.name) and time.time() - path.stat().st_mtime >= older_than_s:
-                shutil.rmtree(path, ignore_errors=True)
-        except OSError:
-            continue
-
-
-def _arrays(data: bytes) -> Arrays:
-    with np.load(io.BytesIO(data)) as stored:
-        return {name: stored[name] for name in stored.files}
-
-
-def _checksum(data: bytes) -> str:
-    return str(xxhash.xxh3_128_hexdigest(data))
+    for stat, path in sorted(entries, key=lambda entry: -entry[0].st_mtime):
+        total += stat.st_size
+        if total > LIMIT_BYTES:
+            path.unlink(missing_ok=True)

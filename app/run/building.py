@@ -1,0 +1,143 @@
+"""Fuse the walls, openings and levels of all scans, and draw the maps of the building."""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffmap.algorithms.base.scan import BoolArray
+from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce, new_views
+from ffmap.algorithms.building.fusion import Building, fuse_building
+from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.ray_evidence import WallCells, trace_shared
+from ffmap.algorithms.building.windows import rays_through
+from ffmap.algorithms.maps.all_maps import Maps
+from ffmap.algorithms.maps.area_graph import Segmented
+from ffmap.algorithms.maps.grid import GridMap
+from ffmap.algorithms.scan.summary import Features, select_scans
+from ffmap.app.folder.map_files import write_grid
+from ffmap.app.folder.names import (
+    DOORS,
+    FLOOR_PLAN_DXF,
+    FLOOR_PLAN_SVG,
+    WALLS,
+    map_file,
+    rooms_file,
+)
+from ffmap.app.folder.pictures import write_floor_plan
+from ffmap.app.folder.plan_dxf import write_dxf
+from ffmap.app.folder.room_files import door_rooms, write_rooms
+from ffmap.app.folder.walls_and_doors import write_doors, write_walls
+from ffmap.app.record.building import log_building, log_fused_walls, log_grid
+from ffmap.app.record.rooms import log_areas, log_rooms
+from ffmap.app.run.arrays import map_arrays, unpack
+from ffmap.app.run.report import Report
+from ffmap.app.run.scans import LabelledScans
+from ffmap.app.run.start import Run
+from ffmap.app.setup.outputs import Output
+from ffmap.blueprints import entities
+
+
+def fuse_all_scans(
+    run: Run, labelled: LabelledScans, trajectory: Trajectory, report: Report
+) -> tuple[Building, AllScans]:
+    """Fuse the building, and return it with the evidence that the maps need too."""
+    report.progress.stage("building", None)
+    features = _FeaturesOfScans.of(run, labelled, trajectory)
+    drive = Drive(trajectory.T_map_base[:, :3, 3], features.read)
+    trace = TraceOnce(_RayCounts(features, run.options.workers))
+    evidence = AllScans(drive, labelled.votes, labelled.rivals, trace, run.settings.levels)
+    building = fuse_building(evidence, run.settings.fusion)
+    if report.log is not None:
+        log_fused_walls(report.log, building.aligned)
+        log_building(report.log, building.model)
+    return building, evidence
+
+
+@dataclass(frozen=True)
+class _FeaturesOfScans:
+    """The scans that the building is fused from, see `new_views`.
+
+    blocks: features of some scans each, mapped into memory. chosen: (n,) bool by number of the scan.
+    """
+
+    blocks: tuple[Features, ...]
+    chosen: BoolArray
+
+    @classmethod
+    def of(cls, run: Run, labelled: LabelledScans, trajectory: Trajectory) -> "_FeaturesOfScans":
+        order = run.inputs.scans
+        chosen = np.zeros(len(order), bool)
+        T_map_base = trajectory.at(labelled.stamps_ns)
+        chosen[labelled.scan] = new_views(T_map_base, order.lidar[labelled.scan])
+        blocks = []
+        for block in labelled.blocks:
+            if chosen[block.first : block.first + block.count].any():
+                blocks.append(unpack(Features, map_arrays(block.labelled), "feature_"))
+        return cls(tuple(blocks), chosen)
+
+    def read(self, blocks: Sequence[Features] | None = None) -> Iterator[Features]:
+        """Yield the features of the chosen scans, block by block."""
+        for block in self.blocks if blocks is None else blocks:
+            chosen = self.chosen[block.scan]
+            yield block if chosen.all() else select_scans(block, chosen)
+
+
+class _RayCounts:
+    """`TracePart` in several threads. Rays that end beyond windows are kept for the next call."""
+
+    def __init__(self, features: _FeaturesOfScans, workers: int) -> None:
+        self._features, self._workers = features, workers
+        self._windows, self._beyond = NO_WINDOWS.key, list[Features]()
+
+    def __call__(
+        self, faces: Walls, settings: BuildingSettings, through: Windows | None
+    ) -> WallCells:
+        if through is None:
+            return trace_shared(faces, self._features.read, settings, self._workers)
+        if through.key != self._windows:
+            self._windows, self._beyond = through.key, self._rays_beyond(through)
+        return trace_shared(faces, lambda: self._beyond, settings, self._workers)
+
+    def _rays_beyond(self, windows: Windows) -> list[Features]:
+        def of_block(block: Features) -> list[Features]:
+            return [rays_through(windows, part) for part in self._features.read((block,))]
+
+        with ThreadPoolExecutor(self._workers) as threads:
+            parts = threads.map(of_block, self._features.blocks)
+            return [part for block in parts for part in block]
+
+
+def log_maps(maps: Maps, report: Report) -> None:
+    """Record grids and rooms."""
+    if report.log is None:
+        return
+    for name, grid in _grids(maps).items():
+        log_grid(report.log, name, grid)
+    log_rooms(report.log, maps.rooms)
+    for segmented, graph in maps.compared_rooms.items():
+        log_areas(report.log, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
+    report.set_layout(maps.grid)
+
+
+def write_maps(run: Run, building: Building, maps: Maps) -> None:
+    """Write walls, doors, rooms, plan and grids."""
+    folder, outputs = run.folder.path, run.options.outputs
+    if Output.GEOJSON in outputs:
+        write_walls(folder / WALLS, building.model.walls, building.thickness_m)
+        write_doors(folder / DOORS, building.model.doors, door_rooms(maps.rooms))
+        rooms = {Segmented.FURNITURE_FREE: maps.rooms} | dict(maps.compared_rooms)
+        for segmented, graph in rooms.items():
+            write_rooms(folder / rooms_file(segmented), graph)
+    if Output.PLAN in outputs:
+        write_floor_plan(folder / FLOOR_PLAN_SVG, maps.plan, run.inputs.bag_path.name)
+        write_dxf(folder / FLOOR_PLAN_DXF, maps.plan)
+    if Output.MAPS in outputs:
+        for name, grid in _grids(maps).items():
+            write_grid(folder / map_file(name), grid)
+
+
+def _grids(maps: Maps) -> dict[str, GridMap]:
+    return {entities.FURNITURE_FREE: maps.grid} | {str(n): grid for n, grid in maps.rivals.items()}
