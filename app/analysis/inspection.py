@@ -19,15 +19,16 @@ from ffmap.app.record.errors import VERDICT_COLORS
 from ffmap.app.record.inspection import ScanFaults
 from ffmap.app.record.line_reasons import name_of
 from ffmap.app.record.read_back import readable, rows
-from ffmap.app.run.blocks import seed_of
-from ffmap.app.run.poses import given_poses, poses_of
-from ffmap.app.setup.inputs import Inputs, digest_clouds, digest_stamps
+from ffmap.app.run.given_poses import given_poses
+from ffmap.app.run.poses import estimate_poses
+from ffmap.app.run.scans import seed_of
 from ffmap.app.setup.versions import git_revision
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_scans
 
@@ -81,7 +82,11 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         )
     settings = run.settings()
     inputs = run.find_inputs(bag_path)
-    _check_same_clouds(run, inputs)
+    bag_digest = fingerprint(inputs.bag_path)
+    if run.bag_digest not in (None, bag_digest):
+        raise InputError(
+            f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag"
+        )
     if not inputs.verticals:
         raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")
     if not 0 <= number < len(inputs.scans):
@@ -94,7 +99,7 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     scan = within_range(scan, settings.scan.range_max_m)
     options = run.options
     given = given_poses(options.trajectory, inputs, settings, options.trajectory_frame)
-    poses = poses_of(inputs, given, settings)
+    poses = estimate_poses(inputs, given, settings, lambda: bag_digest)
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
         raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
@@ -122,17 +127,6 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     several = len(inputs.verticals) > 1
     lidar = f"Scan {number} is cloud {cloud} of {vertical.lidar.topic}." if several else None
     return InspectedScan(number, lidar, scan, level, labelling, differing, faults, _changes(run, number, wrong_changed))
-
-
-def _check_same_clouds(run: FinishedRun, inputs: Inputs) -> None:
-    """Raises InputError where the bag is not what the run was made from, be it by one byte.
-
-    Of a run that was killed before it had read all clouds, their times alone are known.
-    """
-    told = run.clouds or run.part("bag").get("stamps", {})
-    sensors = [sensor for sensor in inputs.used(False) if sensor.lidar.topic in told]
-    if told != (digest_clouds(inputs.bag_path, sensors) if run.clouds else digest_stamps(sensors)):
-        raise InputError(f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag")
 
 
 def _compare_recorded(

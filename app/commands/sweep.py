@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from ffmap.app.folder.names import METRICS, SWEEP_TABLE, RunFolder, require_writ
 from ffmap.app.own_command import own_command
 from ffmap.app.progress import Progress
 from ffmap.app.run.workers import ENVIRONMENT
-from ffmap.app.setup.inputs import Inputs, digest_stamps, find_inputs
+from ffmap.app.setup.inputs import Inputs, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Output
 from ffmap.app.setup.settings import Settings
@@ -41,6 +42,7 @@ from ffmap.app.sweeps.plan import (
 )
 from ffmap.app.tables import make_table, table_console
 from ffmap.loaders.errors import InputError
+from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.text_files import read_object
 from ffmap.loaders.truth import carries_truth
 
@@ -183,12 +185,14 @@ def _run_of(
     for name, value in kept.items():
         values = value if isinstance(value, list) else [] if value is None else [value]
         words += [f"--{name.replace('_', '-')}={own}" for own in values]
-    stamps = digest_stamps(inputs.used(options.trajectory is not None))
-    known_by = [words, digests, stamps, str(bag), versions()]
+    known_by = [words, digests, _fingerprint(bag), str(bag), versions()]
     digest = hashlib.sha256(json.dumps(known_by, sort_keys=True).encode()).hexdigest()[:8]
     folder = out / f"{inputs.bag_path.stem}-{digest}"
     command = ["run", *map(str, bag.parts), "--out", str(folder), *words]
     return SweepRun(folder, bag.parts[0], command, combination, evaluated)
+
+
+_fingerprint = cache(fingerprint)
 
 
 class _Performer:

@@ -110,23 +110,15 @@ class FinishedRun:
         """The bag that the run was made from; it may be gone."""
         return bag_of(self.record)
 
-    def labelled_same_clouds(self, other: "FinishedRun") -> bool:
-        """Whether both labelled clouds of the same bag; by their times alone where one was killed before it had read all.
-
-        Told by the topics that both labelled, or else by the first that either did.
-        """
-        common = [topic for topic in self.topics if topic in other.topics]
-        pairs = [(topic, topic) for topic in common] or list(zip(self.topics[:1], other.topics[:1], strict=False))
-        for said in ("clouds", "stamps"):
-            own, others = (run.part("bag").get(said) or {} for run in (self, other))
-            if pairs and all(mine in own and its in others for mine, its in pairs):
-                return all(own[mine] == others[its] for mine, its in pairs)
-        return False
-
     @property
-    def clouds(self) -> Mapping[str, str]:
-        """The digest of all clouds of each topic that the run read to its end, by topic."""
-        return self.part("bag").get("clouds") or {}
+    def bag_digest(self) -> str | None:
+        """Fingerprint of the bag; None for a run that was killed before it was known."""
+        return self.part("bag").get("digest")
+
+    def labelled_same_clouds(self, other: "FinishedRun") -> bool:
+        """Whether both runs labelled clouds of one topic of the same bag."""
+        same_bag = self.bag_digest is not None and self.bag_digest == other.bag_digest
+        return same_bag and not set(self.topics).isdisjoint(other.topics)
 
     @property
     def topics(self) -> tuple[str, ...]:

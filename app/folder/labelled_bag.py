@@ -1,6 +1,6 @@
 """labelled.bag or labelled/: every vertical cloud again, with its labels, and the poses."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,8 @@ from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.app.folder.names import LABELLED_BAG, LABELLED_FOLDER
 from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.bag_writer import BagWriter
-from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.cloud_index import CloudIndex
-from ffmap.loaders.errors import CloudError, InputError
+from ffmap.loaders.errors import CloudError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.pointcloud2 import describe_layout, encode_labelled, stamp_ns
 from ffmap.loaders.rig import Rig
@@ -30,25 +29,21 @@ def write_labelled_bag(
     rig: Rig,
     trajectory: Trajectory,
     labels: Iterable[tuple[int, UInt8Array, UInt8Array]],
-    clouds: Mapping[str, str] | None = None,
 ) -> Path:
     """Every vertical cloud of the bag again, with its labels, as `labelled.bag` (ROS 1) or `labelled/` (ROS 2).
 
     indices: each vertical lidar's clouds; bags: where they are read, one for each. trajectory: T_map_base. labels: in the order
     of all of them, see `ScanOrder`, for each labelled scan its number, `label` and `label_scan`, both (height x width,); the
     points of clouds that are not among them get 255.
-    clouds: digest of the bytes of all clouds that were labelled, by topic, where known. Raises InputError where the bag holds
-    others now.
     """
     labelled, static = iter(labels), rig.tree.rooted_at(rig.base_frame)
-    digests: list[list[bytes]] = [[] for _ in indices]
     following, posed_ns = next(labelled, None), None
     container = bags[0].container
     name = LABELLED_BAG if container == "ros1" else LABELLED_FOLDER
     scans = ScanOrder.of(indices)
 
     def read(lidar: int, first: int, count: int) -> Iterator[tuple[int, Message | CloudError]]:
-        return read_messages(bags[lidar], indices[lidar], first, count, digests[lidar])
+        return read_messages(bags[lidar], indices[lidar], first, count)
 
     with BagWriter(run_dir / name, container) as writer:
         for topic, msgtype in (*_TRANSFORMS, *((index.topic, "sensor_msgs/msg/PointCloud2") for index in indices)):
@@ -73,11 +68,6 @@ def write_labelled_bag(
                 writer.write("/tf", writer.transforms(stamp, [pose]), log_time_ns)
                 posed_ns = stamp
             writer.write(index.topic, _labelled(message, index.topic, label, label_scan), log_time_ns)
-        now = {index.topic: joined(own).hex() for index, own in zip(indices, digests, strict=True)}
-        if clouds is not None and any(clouds[topic] != digest for topic, digest in now.items()):
-            raise InputError(
-                f"{bags[0].path}: changed while the run was reading it; let nothing write to it, and start a new run"
-            )
     return writer.path
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import NO_RETURN, Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
-from ffmap.algorithms.base.trajectory import Trajectory, level_frame
+from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, level_frame
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
 from ffmap.algorithms.maps.rivals import Rival, RivalCounter, RivalReturns
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
@@ -103,7 +103,9 @@ class Block:
 
     def log(self, path: Path) -> AbstractContextManager[Log | None]:
         """Open a part of the recording; None where nothing is recorded."""
-        return nullcontext() if self.detail is None else open_log(path, self.recording_id, self.detail)
+        if self.detail is None:
+            return nullcontext()
+        return open_log(path, self.recording_id, self.detail)
 
 
 @dataclass(frozen=True)
@@ -131,9 +133,8 @@ class LabelledScan:
 
     @classmethod
     def of(
-        cls, number: int, scan: Scan, level: LevelledScan, labelling: ScanLabelling
+        cls, number: int, scan: Scan, placed: PlacedScan, labelling: ScanLabelling
     ) -> "LabelledScan":
-        placed = level.placed
         farthest_m = float(np.abs(placed.points_level).max(initial=0.0))
         grid_m = max(_GRID_M, farthest_m / np.iinfo(np.int16).max)
         in_order = bool(np.all(np.diff(scan.cloud_index) > 0))
@@ -240,8 +241,9 @@ def label_scans(run: Run, poses: RunPoses, executor: Executor, report: Report) -
             last = labelled.scans[-1]
             report.add_part(block.evidence)
             if report.log:
-                points, label = own.mean_position[new], majority(own.counts[new])
-                log_map_block(report.log, last.scan, last.stamp_ns, points.astype(np.float32), label)
+                points = own.mean_position[new].astype(np.float32)
+                label = majority(own.counts[new])
+                log_map_block(report.log, last.scan, last.stamp_ns, points, label)
         report.progress.advance()
     if not scans:
         raise InputError(f"{run.inputs.bag_path}: {_no_scan(run, skipped)}; 'ffmap info' shows why")
@@ -263,10 +265,15 @@ def label_scans(run: Run, poses: RunPoses, executor: Executor, report: Report) -
     )
 
 
+def block_bounds(scans: int) -> list[tuple[int, int]]:
+    """Divide scans into blocks: the first scan of each, and the one after its last."""
+    bounds = [0, *range(_FIRST_SCANS, scans, SCANS_PER_BLOCK), scans]
+    return [(first, end) for first, end in pairwise(bounds) if end > first]
+
+
 def split_blocks(run: Run, poses: RunPoses, recorded: bool) -> list[Block]:
     """Divide all scans into blocks."""
     stamps_ns = run.inputs.scans.stamp_ns
-    bounds = [0, *range(_FIRST_SCANS, len(stamps_ns), SCANS_PER_BLOCK), len(stamps_ns)]
     return [
         Block(
             first=first,
@@ -281,8 +288,7 @@ def split_blocks(run: Run, poses: RunPoses, recorded: bool) -> list[Block]:
             detail=run.options.detail if recorded else None,
             path=run.folder.spool / f"{number:05d}",
         )
-        for number, (first, end) in enumerate(pairwise(bounds))
-        if end > first
+        for number, (first, end) in enumerate(block_bounds(len(stamps_ns)))
     ]
 
 
@@ -383,7 +389,7 @@ def _label(
     metrics = scan_metrics(ranges, labelling, watch.milliseconds)
     rivals = RivalReturns.of(level.placed.points_level, labelling)
     level = _moved(level, block, scan)
-    labelled = LabelledScan.of(number, scan, level, labelling)
+    labelled = LabelledScan.of(number, scan, level.placed, labelling)
     points_map = labelled.points_map
     rays = ray_rows(cloud, labelling)
     features = with_rays(

@@ -20,10 +20,10 @@ from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings, validate
 from ffmap.app.setup.versions import versions
 from ffmap.loaders.bag_path import BagPath
+from ffmap.loaders.cloud_checks import clock_problem
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.rig import MountCorrection
-from ffmap.loaders.scans import clock_problem
 
 _MARGIN_NS = 1_000_000_000
 """Maximum time (ns) of a vertical cloud before or after those of the horizontal lidar."""

@@ -1,6 +1,6 @@
 """What a run reads: the bag, which lidar is which, and how their clouds become scans."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +10,6 @@ from ffmap.app.setup.options import RunOptions
 from ffmap.loaders.bag import Bag, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_checks import clock_problem, gap_problem, stamp_problem
-from ffmap.loaders.cloud_digest import joined
 from ffmap.loaders.cloud_index import CloudIndex
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.find_rig import find_rig
@@ -18,7 +17,7 @@ from ffmap.loaders.numbered import numbered
 from ffmap.loaders.own_body import without_own_body
 from ffmap.loaders.rig import Lidar, MountCorrection, Rig
 from ffmap.loaders.scan_order import ScanOrder
-from ffmap.loaders.scans import SkippedScan, read_digests, read_scans
+from ffmap.loaders.scans import SkippedScan, read_scans
 
 _FAILED_SHARE_MAX = 0.2
 """Share of the scans that may fail: a few damaged clouds do not matter, and of more the bag or what is said of it is wrong."""
@@ -139,22 +138,6 @@ def find_inputs(
             verticals=verticals,
             warnings=(*bag.warnings, *rig.warnings, *(problem for problem in (*clocks, *missing) if problem)),
         )
-
-
-def digest_stamps(sensors: Iterable[Sensor]) -> dict[str, str]:
-    """The digest of the times of all clouds of each sensor, by topic: known before any cloud is read."""
-    return {s.lidar.topic: joined([s.index.stamp_ns.tobytes(), s.index.message_count.tobytes()]).hex() for s in sensors}
-
-
-def digest_clouds(bag_path: BagPath, sensors: Iterable[Sensor]) -> dict[str, str]:
-    """The digest of all clouds of each sensor, by topic; they are read, not decoded."""
-    with open_bag(bag_path) as bag:
-        return {sensor.lidar.topic: joined(read_digests(bag, sensor.index)).hex() for sensor in sensors}
-
-
-def total_digest(clouds: Mapping[str, str]) -> str:
-    """One digest for those of several topics, in whatever order they were read."""
-    return joined(bytes.fromhex(clouds[topic]) for topic in sorted(clouds)).hex()
 
 
 def _sensor(bag: Bag, lidar: Lidar) -> Sensor:

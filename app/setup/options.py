@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
+import xxhash
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output
@@ -55,9 +56,6 @@ class RunOptions(BaseModel):
 
     def stored(self) -> dict[str, Any]:
         """What run.json keeps; with absolute paths and digests, as files may change meanwhile."""
-        # Whoever reads run.json need not wait for the compiled code that comes with it.
-        from ffmap.loaders.cloud_digest import joined
-
         kept = self.model_dump(mode="json")
         if self.rig is not None:
             kept["rig"] = str(self.rig.resolve())
@@ -65,7 +63,7 @@ class RunOptions(BaseModel):
             kept["trajectory"] = str(Path(self.trajectory).resolve())
         files = {name: Path(kept[name]) for name in ("rig", "trajectory") if kept[name] is not None}
         kept["digests"] = {
-            name: joined([file.read_bytes()]).hex()
+            name: xxhash.xxh3_128_hexdigest(file.read_bytes())
             for name, file in files.items()
             if file.is_file()
         }

@@ -10,10 +10,10 @@ from rosbags.rosbag1 import Reader, Writer
 
 from ffmap.algorithms.building.final_labels import Relabelling
 from ffmap.app.cli import main
-from ffmap.app.run import blocks
+from ffmap.app.run import scans
 from ffmap.loaders.bag import Message, make_typestore
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.app.run.test_blocks import failing
+from tests.app.run.test_scans import failing
 from tests.loaders.bag_builder import CLOUD
 
 VERTICAL, HORIZONTAL = "/vertical_velodyne/velodyne_points", "/horizontal_velodyne/velodyne_points"
@@ -99,7 +99,7 @@ def test_a_run_whose_scans_fail_ends_with_one_line_and_keeps_the_traceback(
 ) -> None:
     simulate(tmp_path / "a.bag", SimulationSettings(building="small", sensor="vlp16", duration_s=1.5))
     monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(blocks, "label_scan", failing(blocks.label_scan, set(range(99)), ValueError("no wall")))
+    monkeypatch.setattr(scans, "label_scan", failing(scans.label_scan, set(range(99)), ValueError("no wall")))
     words = ["run", tmp_path / "a.bag", "--out", tmp_path / "run", "--quiet", "--workers", "1"]
     monkeypatch.setattr("sys.argv", ["ffmap", *map(str, words)])
     with pytest.raises(SystemExit) as ended:

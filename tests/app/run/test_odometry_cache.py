@@ -1,18 +1,38 @@
-"""The cache of odometries: what was kept comes back, what is not as it was written never does, and it stays small."""
+"""The cache of odometries: what was written is read again, damage is detected, and it stays small."""
 
 import os
 import time
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ffmap.algorithms.poses.odometry import Registration
+from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.run import odometry_cache
-from ffmap.app.run.odometry_cache import Writer, entries, entry_name, has_any, look_up
+from ffmap.app.run.odometry_cache import CacheWriter, Result, read_cached
 
-KEY = "0123456789abcdef01234567"
-CONTENT, OTHER = "a" * 32, "b" * 32
-FILES = [{"index": np.arange(5), "T": np.eye(4)}, {"weight": np.array([0.5, 1.0])}]
+KEY, OTHER_KEY = "0123456789abcdef01234567", "f" * 24
+BAG, OTHER_BAG = "a" * 32, "b" * 32
+
+
+def results() -> list[Result]:
+    points = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32)
+    figures = dict.fromkeys(("threshold_m", "correction_m", "residual_m", "inlier_share", "refined_m"), 0.5)
+    figures |= {"refined_inlier_share": float("nan"), "weakest_share": 0.1, "agreement": 1.0, "rival": 0.0}
+    scans: list[Result] = [
+        Registration(
+            index=i, stamp_ns=10**9 * i, T_odom_sensor=np.eye(4) * (i + 1), keypoints_sensor=points[:i],
+            local_map_odom=points[: 7 * (i % 3)], refused=i == 5, milliseconds=2.0, **figures,
+        )
+        for i in range(120)
+    ]  # fmt: skip
+    T, ones = np.tile(np.eye(4), (3, 1, 1)), np.arange(3)
+    return [*scans, PoseGraph(np.eye(4), ones, T, 2 * T, ones, ones, 0.5 * ones, 0.5 * ones, 0.5 * ones)]
+
+
+RESULTS = results()
 
 
 @pytest.fixture(autouse=True)
@@ -21,93 +41,96 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache" / "odometry"
 
 
-def keep(key: str = KEY, content: str = CONTENT) -> Writer:
-    with Writer(key) as writer:
-        for arrays in FILES:
-            writer.add(arrays)
-        writer.complete(content)
+def keep(key: str = KEY, bag: str = BAG) -> CacheWriter:
+    writer = CacheWriter(key, lambda: bag)
+    assert list(writer.keep(RESULTS)) == RESULTS
     return writer
 
 
-def test_what_was_kept_comes_back_for_the_same_clouds_alone() -> None:
-    assert not has_any(KEY)
+def is_cached(key: str = KEY, bag: str = BAG) -> bool:
+    return read_cached(key, lambda: bag).results is not None
+
+
+def test_what_was_written_is_read_for_the_same_bag_alone() -> None:
+    assert not is_cached()
     assert keep().failure is None
-    assert has_any(KEY)
-    found = look_up(KEY, CONTENT)
+    found = read_cached(KEY, lambda: BAG)
     assert found.damage is None
-    assert found.files is not None
-    for file, expected in zip(found.files, FILES, strict=True):
-        assert file.keys() == expected.keys()
-        assert all(np.array_equal(file[name], expected[name]) for name in expected)
-    assert look_up(KEY, OTHER).files is None
-    assert look_up(KEY[::-1], CONTENT).files is None
+    assert found.results is not None
+    for own, expected in zip(found.results, RESULTS, strict=True):
+        assert type(own) is type(expected)
+        for name, value in vars(expected).items():
+            np.testing.assert_array_equal(getattr(own, name), value, err_msg=name)
+    assert not is_cached(bag=OTHER_BAG)
+    assert not is_cached(OTHER_KEY)
+    # The bag is not read where the cache has nothing of these settings.
+    read_cached(OTHER_KEY, lambda: pytest.fail("hashed"))
 
 
-def flip_a_bit(entry: Path) -> None:
-    data = bytearray((entry / "000000.npz").read_bytes())
-    # Within an array's values, where nothing but a checksum notices.
-    data[data.index(np.eye(4).tobytes()) + 3] ^= 1
-    (entry / "000000.npz").write_bytes(data)
+def flip_a_bit(path: Path) -> None:
+    with zipfile.ZipFile(path) as file:
+        data = bytearray(path.read_bytes())
+        # Within an array's values, where nothing but a checksum notices.
+        data[file.getinfo("000001/T_odom_sensor").header_offset + 200] ^= 1
+    path.write_bytes(data)
 
 
 @pytest.mark.parametrize(
     "damage",
     [
         flip_a_bit,
-        lambda entry: (entry / "000001.npz").unlink(),
-        lambda entry: (entry / "000001.npz").write_bytes(b""),
-        lambda entry: (entry / "complete").write_bytes(b""),
-        lambda entry: (entry / "complete").write_text('{"files": {"000000.npz": 3}}'),
-        lambda entry: (entry / "complete").write_text("[]"),
-        lambda entry: (entry / "complete").unlink(),
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(path.read_bytes()[:-100]),
+        lambda path: path.write_bytes(path.read_bytes()[:1000] + bytes(1000) + path.read_bytes()[2000:]),
     ],
 )
-def test_damaged_entry_is_told_and_thrown_away(damage, cache: Path) -> None:
+def test_a_damaged_file_is_reported_and_removed(damage, cache: Path) -> None:
     keep()
-    entry = cache / entry_name(KEY, CONTENT)
-    damage(entry)
-    found = look_up(KEY, CONTENT)
-    assert found.files is None
-    assert found.damage
+    damage(cache / f"{KEY}-{BAG}.zip")
+    found = read_cached(KEY, lambda: BAG)
+    assert found.results is None
+    assert "was damaged" in str(found.damage)
     assert list(cache.iterdir()) == []
     keep()
-    assert look_up(KEY, CONTENT).files is not None
+    assert is_cached()
 
 
-def test_cache_that_cannot_be_written_is_told_and_stops_nobody(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_is_reported(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache.parent.mkdir()
     cache.write_text("a file in the place of the folder")
-    assert keep().failure is not None
+    assert "cannot be kept in the cache" in str(keep().failure)
     cache.unlink()
 
-    def full(descriptor: int) -> None:
+    def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "fsync", full)
-    assert keep().failure == "No space left on device"
-    assert not has_any(KEY)
+    monkeypatch.setattr(np.lib.format, "write_array", full)
+    assert "(No space left on device)" in str(keep().failure)
+    assert not is_cached()
     assert list(cache.iterdir()) == []
 
 
-def test_what_was_not_used_for_longest_goes_first(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = [f"{i:024x}" for i in range(5)]
-    for age, name in zip((500, 400, 300, 200), names, strict=False):
-        keep(name)
+def test_an_odometry_that_is_interrupted_leaves_nothing(cache: Path) -> None:
+    kept = CacheWriter(KEY, lambda: BAG).keep(RESULTS)
+    for _ in range(60):
+        next(kept)
+    kept.close()
+    assert list(cache.iterdir()) == []
+
+
+def test_what_was_not_used_for_longest_is_removed_first(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = [f"{i:024x}" for i in range(5)]
+    for age, key in zip((500, 400, 300, 200), keys, strict=False):
+        keep(key)
         then = time.time() - age
-        os.utime(cache / entry_name(name, CONTENT) / "complete", (then, then))
-    # The oldest is used again.
-    assert look_up(names[0], CONTENT).files is not None
-    monkeypatch.setattr(odometry_cache, "LIMIT_BYTES", 3.5 * entries()[0].size_bytes)
-    keep(names[4])
-    assert {entry.path.name[:24] for entry in entries()} == {names[4], names[0], names[3]}
-
-
-def test_parts_of_killed_runs_go_in_time(cache: Path) -> None:
-    abandoned, fresh = cache / f"{KEY}.1.part", cache / f"{KEY}.2.part"
+        os.utime(cache / f"{key}-{BAG}.zip", (then, then))
+    assert is_cached(keys[0])
+    abandoned, fresh = cache / f"{KEY}-1.part", cache / f"{KEY}-2.part"
     for part in (abandoned, fresh):
-        part.mkdir(parents=True)
-        (part / "000000.npz").touch()
+        part.touch()
     os.utime(abandoned, (0, 0))
-    keep()
-    assert not abandoned.exists()
-    assert fresh.exists()
+    size = (cache / f"{keys[0]}-{BAG}.zip").stat().st_size
+    monkeypatch.setattr(odometry_cache, "LIMIT_BYTES", 3.5 * size)
+    keep(keys[4])
+    assert {path.name[:24] for path in cache.glob("*.zip")} == {keys[4], keys[0], keys[3]}
+    assert list(cache.glob("*.part")) == [fresh]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ffmap.app.run.blocks import SCANS_PER_BLOCK
+from ffmap.app.run.scans import SCANS_PER_BLOCK
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import ffmap_here, with_cache
 

@@ -12,18 +12,19 @@ from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.app.analysis.evaluation import evaluate_run
 from ffmap.app.folder.finished_run import mount_corrections, open_run
 from ffmap.app.record.read_back import readable, rows
-from ffmap.app.run import spool
-from ffmap.app.run.blocks import LabelJob, label_block, split_blocks
-from ffmap.app.run.mount_check import check_mounts
+from ffmap.app.run.arrays import map_arrays, unpack_rows
+from ffmap.app.run.extrinsics import check_extrinsics
+from ffmap.app.run.scans import LabelledScan, block_bounds, label_block
 from ffmap.app.setup.inputs import find_inputs
 from ffmap.app.setup.options import RunOptions
-from ffmap.app.setup.settings import Settings, load_settings
+from ffmap.app.setup.settings import load_settings
 from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.rig import MountCorrection
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from ffmap.loaders.trajectory_file import read_tum
 from ffmap.loaders.truth import read_truth
+from tests.app.run.test_scans import block_of
 from tests.program import ffmap_here, kill_once, with_cache
 
 LEFT, RIGHT, UPRIGHT = (f"/{place}_velodyne/velodyne_points" for place in ("left", "right", "horizontal"))
@@ -91,18 +92,14 @@ def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None
 
 def labels_of(inputs_of: RunOptions, folder: Path, name: str) -> dict[tuple[str, int], UInt8Array]:
     """The scans' own labels by topic and stamp, at the true poses."""
-    inputs, settings = find_inputs(folder / "drive", inputs_of), Settings()
-    with open_bag(inputs.bag_path) as bag:
-        truth = read_truth(bag)
-    assert truth is not None
-    assert truth.trajectory is not None
+    inputs = find_inputs(folder / "drive", inputs_of)
     found: dict[tuple[str, int], UInt8Array] = {}
-    for block in split_blocks(len(inputs.scans)):
-        path = folder / f"{name}-{block.number}"
-        label_block(LabelJob(block, inputs, truth.trajectory, 0.0, np.zeros(2), settings, "", None, path))
-        for scan in spool.load_scans(path.with_suffix(".arrow")):
+    for first, end in block_bounds(len(inputs.scans)):
+        block = block_of(inputs, folder / f"{name}-{first}", first=first, count=end - first)
+        label_block(block)
+        for scan in unpack_rows(LabelledScan, map_arrays(block.labelled)):
             topic = inputs.verticals[inputs.scans.lidar[scan.scan]].lidar.topic
-            found[topic, scan.stamp_ns] = np.r_[scan.label_cloud, scan.ray.view(np.uint8)]
+            found[topic, scan.stamp_ns] = scan.label_cloud
     return found
 
 
@@ -161,9 +158,9 @@ def test_only_the_mount_that_is_off_is_refined(folder: Path) -> None:
     (left,) = (sensor.lidar for sensor in inputs.verticals if sensor.lidar.topic == LEFT)
     T_off = left.T_base_sensor @ transforms.from_twist(np.array([0.0, 0.02, 0.03, 0.05, 0.0, 0.04]))
     off = inputs.with_mounts([MountCorrection(LEFT, tuple(map(tuple, T_off.tolist())), 0)])
-    mounts = {mount.topic: mount for mount in check_mounts(off, truth.trajectory, settings)}
+    mounts = {mount.topic: mount for mount in check_extrinsics(off, truth.trajectory, settings)}
     assert {topic: mount.is_off for topic, mount in mounts.items()} == {LEFT: True, RIGHT: False}
-    assert f"the vertical lidar {LEFT} sits" in mounts[LEFT].warning
+    assert f"the extrinsics of the vertical lidar {LEFT} " in mounts[LEFT].warning
     record = {
         "rig": {role: {"topic": sensor.lidar.topic} for role, sensor in inputs.by_role.items()},
         "mounts": {topic: mount.record for topic, mount in mounts.items()},

@@ -8,8 +8,9 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 
 from ffmap.app.cli import main
-from ffmap.app.run import poses
-from ffmap.app.run.poses import GivenPoses, check_lidars_meet, given_poses
+from ffmap.app.run import given_poses as module
+from ffmap.app.run.given_poses import GivenPoses, given_poses
+from ffmap.app.run.start import check_lidars_meet
 from ffmap.app.setup.inputs import Inputs, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
@@ -73,7 +74,7 @@ def test_poses_far_out_are_moved_to_the_floor_near_the_first_and_that_is_told(in
 
 
 def test_time_without_poses_is_told(inputs: Inputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(poses, "_GAP_S", 0.3)
+    monkeypatch.setattr(module, "_GAP_S", 0.3)
     path = tmp_path / "near.tum"
     assert placed(path, inputs, [0.0, 0.0, 0.0]).warnings == ()
     lines = path.read_text().splitlines(keepends=True)
@@ -108,7 +109,7 @@ def test_poses_that_no_robot_has_are_refused(inputs: Inputs, tmp_path: Path) -> 
             given_poses(written(path, inputs, np.zeros(3), **changes), inputs, Settings())
 
     refused("give poses of this drive", ahead_s=9e5)
-    refused("z axis leans 90 deg", turned_deg=90.0)
+    refused("z axis is 90 deg from", turned_deg=90.0)
     lines = [line.split() for line in Path(written(path, inputs, np.zeros(3))).read_text().splitlines()]
     for step_m, match in ((1e5, "jumps by 100000 m within"), (1e300, r"1e\+30\d m from its origin; give metres")):
         path.write_text("\n".join(" ".join([w[0], str((i + 1) * step_m), *w[2:]]) for i, w in enumerate(lines)))

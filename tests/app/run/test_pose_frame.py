@@ -8,7 +8,7 @@ import pytest
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.app.run.poses import GivenPoses, given_poses
+from ffmap.app.run.given_poses import GivenPoses, given_poses
 from ffmap.app.setup.inputs import Inputs, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
@@ -61,7 +61,7 @@ def test_poses_of_a_lidar_or_a_camera_are_carried_to_the_base(
         T = true.T_map_base @ T_base_frame
         found = given(inputs, tmp_path / "a.tum", transforms.invert(T[0]) @ T, true.stamp_ns)
         assert found.frame == name
-        assert f"holds poses of {name}, not of {inputs.rig.base_frame}" in found.warnings[0]
+        assert f"contains poses of {name}, not of {inputs.rig.base_frame}" in found.warnings[0]
         T_true_found = true.T_map_base[0] @ transforms.invert(found.trajectory.T_map_base[0])
         left = found.trajectory.moved(T_true_found).T_map_base - true.T_map_base
         assert np.abs(left).max() < 1e-4
@@ -78,7 +78,7 @@ def test_poses_of_the_base_stay_and_a_frame_can_be_named(
     T = true.T_map_base @ lidar.T_base_sensor
     named = given(inputs, tmp_path / "b.tum", T, true.stamp_ns, lidar.frame_id)
     np.testing.assert_allclose(named.trajectory.T_map_base, true.T_map_base, atol=1e-6)
-    with pytest.raises(InputError, match=f"no such frame; name one of {inputs.rig.base_frame}, "):
+    with pytest.raises(InputError, match=f"no such frame; use one of {inputs.rig.base_frame}, "):
         given(inputs, tmp_path / "b.tum", T, true.stamp_ns, "nowhere")
 
 
@@ -94,5 +94,5 @@ def test_poses_by_which_surfaces_disagree_are_told_or_refused(
         transforms.from_yaw(0.7 * s, [0, 0, 0]) for s in (true.stamp_ns - true.stamp_ns[0]) / 1e9
     ]
     for T in (centimetres, turning @ true.T_map_base):
-        with pytest.raises(InputError, match="saw at different times do not meet"):
+        with pytest.raises(InputError, match="saw at different times are"):
             given(inputs, tmp_path / "a.tum", T, true.stamp_ns)

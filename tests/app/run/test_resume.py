@@ -1,0 +1,67 @@
+"""A run that is killed in any stage is resumed to the same results."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ffmap.app.run.scans import SCANS_PER_BLOCK
+from ffmap.blueprints import entities
+from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.app.record.recordings import rows
+from tests.program import ffmap_here, kill_once, with_cache
+
+OPTIONS = ("--no-evaluate", "--outputs", "labels,maps,recording")
+LEFT_BY = {
+    "odometry": "cache/odometry/*.part",
+    "scans": "killed/spool/00000.arrow",
+    "final": "killed/spool/*.final.arrow",
+}
+"""A file that shows that a stage is under way."""
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bags") / "drive.bag"
+    simulate(path, SimulationSettings(building="small", seed=3, sensor="vlp16", duration_s=7.0))
+    return path
+
+
+def finished(cache: Path, *words: object) -> None:
+    done = ffmap_here(with_cache(cache), "run", *words)
+    assert done.returncode == 0, done.stderr
+
+
+def results(out: Path) -> tuple[str, bytes, bytes, dict[int, float]]:
+    """The labels' digest, the map, the trajectory, and the returns on walls in each recorded scan."""
+    record = json.loads((out / "run.json").read_text())
+    assert record["outcome"] == "complete"
+    walls = rows(out / "recording.rrd", f"{entities.LABEL_COUNTS}/wall")
+    recorded = {row["scan"]: row["scalars"][0] for row in walls}
+    assert len(recorded) == record["counts"]["scans"] > SCANS_PER_BLOCK
+    assert sum(recorded.values()) == record["counts"]["returns"]["wall"]
+    map_file, poses = (out / "map.pgm").read_bytes(), (out / "trajectory.tum").read_bytes()
+    return record["labels_digest"], map_file, poses, recorded
+
+
+@pytest.fixture(scope="module")
+def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "whole"
+    finished(out.parent / "cache", bag, "--out", out, *OPTIONS)
+    return out
+
+
+def test_a_cached_odometry_and_a_single_worker_give_the_same(bag: Path, whole: Path, tmp_path: Path) -> None:
+    words = ("--out", tmp_path / "alone", "--workers", 1, "--detail", "map", *OPTIONS)
+    finished(whole.parent / "cache", bag, *words)
+    assert results(tmp_path / "alone") == results(whole)
+    assert json.loads((tmp_path / "alone" / "run.json").read_text())["odometry_cached"]
+
+
+@pytest.mark.parametrize("stage", LEFT_BY)
+def test_a_killed_run_is_resumed_to_the_same(stage: str, bag: Path, whole: Path, tmp_path: Path) -> None:
+    cache, out = tmp_path / "cache", tmp_path / "killed"
+    kill_once(with_cache(cache), lambda: [*tmp_path.glob(LEFT_BY[stage])], "run", bag, "--out", out, *OPTIONS)
+    assert json.loads((out / "run.json").read_text())["outcome"] == "running"
+    finished(cache, "--resume", out)
+    assert results(out) == results(whole)
