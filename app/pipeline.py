@@ -19,7 +19,7 @@ from ffmap.algorithms.building.fusion import Building
 from ffmap.algorithms.building.votes import fuse
 from ffmap.algorithms.maps.all_maps import Maps, draw_maps
 from ffmap.app.folder.cloud_file import write_ply
-from ffmap.app.folder.names import CLOUD, TRAJECTORY, written_files
+from ffmap.app.folder.names import CLOUD, TRAJECTORY
 from ffmap.app.folder.room_files import topology
 from ffmap.app.progress import Progress
 from ffmap.app.record.building import log_cloud
@@ -106,7 +106,7 @@ def carry_out(run: Run) -> dict[str, Any]:
                 if report is not None:
                     report.finish(aborted, parts_stay=True)
             raise
-        record["files"] = written_files(folder)
+        record["files"] = folder.written_files()
         folder.write_json(record)
         shutil.rmtree(folder.spool, ignore_errors=True)
     return record

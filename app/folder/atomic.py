@@ -1,4 +1,4 @@
-"""Files that are there are complete: each is written as NAME.part and renamed. What needs no bag is written here."""
+"""Write files whole: each is written as NAME.part and renamed."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -11,10 +11,7 @@ from pydantic_core import to_jsonable_python
 
 @contextmanager
 def written_whole(path: Path) -> Iterator[Path]:
-    """NAME.part to fill, which gets its name at the end of the context; an earlier file stays until then.
-
-    After an exception nothing is left of it.
-    """
+    """Yield NAME.part, and rename it at the end; after an exception it is removed."""
     part = path.with_name(path.name + ".part")
     try:
         yield part
@@ -25,23 +22,25 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """A text in UTF-8."""
+    """Write a text in UTF-8."""
     with written_whole(path) as part:
         part.write_text(text, "utf-8")
 
 
 def write_json(path: Path, content: object) -> None:
-    """A file of `json_text`."""
+    """Write `json_text`."""
     write_text(path, json_text(content))
 
 
 def json_text(content: object) -> str:
-    """Readable JSON; numbers that are not finite become null, arrays lists."""
-    plain = to_jsonable_python(content, inf_nan_mode="null", fallback=lambda of_numpy: of_numpy.tolist())
+    """Format JSON; numbers that are not finite become null, arrays lists."""
+    plain = to_jsonable_python(
+        content, inf_nan_mode="null", fallback=lambda of_numpy: of_numpy.tolist()
+    )
     return json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write_geojson(path: Path, features: Sequence[dict[str, Any]]) -> None:
-    """A FeatureCollection whose coordinates are metres in the map frame."""
+    """Write a FeatureCollection whose coordinates are metres in the map frame."""
     numbered = [{"type": "Feature", "id": i, **feature} for i, feature in enumerate(features)]
     write_json(path, {"type": "FeatureCollection", "features": numbered})

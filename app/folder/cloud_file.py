@@ -8,26 +8,28 @@ from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.building.votes import FusedCloud
 from ffmap.app.folder.atomic import written_whole
 
+_VERTEX = [(name, "<f4") for name in "xyz"]
+_VERTEX += [(name, "u1") for name in ("label", "red", "green", "blue")]
+
 
 def write_ply(path: Path, cloud: FusedCloud, colours: UInt8Array) -> None:
-    """Binary little-endian PLY: x y z (metres, map frame), label, red green blue.
+    """Write a binary PLY: x y z (metres, map frame), label, red green blue.
 
     colours: (m, 3) uint8, one row a point.
     """
-    axes, channels = ("x", "y", "z"), ("label", "red", "green", "blue")
-    vertex = np.zeros(len(cloud), [(name, "<f4") for name in axes] + [(name, "u1") for name in channels])
-    for name, values in zip(axes + channels, (*cloud.points_map.T, cloud.label, *colours.T), strict=True):
+    vertex = np.zeros(len(cloud), _VERTEX)
+    columns = (*cloud.points_map.T, cloud.label, *colours.T)
+    for (name, _), values in zip(_VERTEX, columns, strict=True):
         vertex[name] = values
+    kinds = {"<f4": "float", "u1": "uchar"}
     header = [
         "ply",
         "format binary_little_endian 1.0",
         "comment fused semantic cloud, metres in the map frame",
         f"element vertex {len(cloud)}",
-        *(f"property float {name}" for name in axes),
-        *(f"property uchar {name}" for name in channels),
+        *(f"property {kinds[kind]} {name}" for name, kind in _VERTEX),
         "end_header\n",
     ]
-
     with written_whole(path) as part, part.open("wb") as file:
         file.write("\n".join(header).encode())
         vertex.tofile(file)

@@ -1,10 +1,10 @@
-"""The folder of a run: its files' names, run.json, the spool that a killed run is resumed from.
+"""The folder of a run: the names of its files, who may write to it, and how it is replaced.
 
 Nothing is ever removed but files that runs write.
 """
 
 import os
-import re
+import shutil
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -37,160 +37,155 @@ FLOOR_PLAN_SVG = "floorplan.svg"
 FLOOR_PLAN_DXF = "floorplan.dxf"
 OVERLAY = "overlay.png"
 SPOOL = "spool"
-PROGRAM = "furniture-free-mapping"
-"""What run.json says that it was written by."""
-
-
+"""Folder of finished blocks of scans, from which a killed run is resumed."""
 SWEEP_TABLE = "sweep.csv"
-"""In a sweep's folder, beside its runs."""
-
-_WITHIN = re.compile(
-    rf"{LABELLED_FOLDER}|metadata\.yaml|{LABELLED_FOLDER}(_\d+)?\.(db3|mcap)"
-    r"|(\d{5}(\.final)?|own-\d{5}|halo)\.(arrow|rrd)(\.part)?"
-)
-"""What runs write into the folders within their own: the files of a labelled ROS 2 bag and of the spool."""
+"""In the folder of a sweep, beside its runs."""
+PROGRAM = "furniture-free-mapping"
+"""The program in run.json."""
+_LABELLED = ("metadata.yaml", f"{LABELLED_FOLDER}*.db3", f"{LABELLED_FOLDER}*.mcap")
+"""The files of a labelled ROS 2 bag."""
+_PATIENCE_S = 0.15
+"""Time (s) to wait for a lock: `is_held` locks a folder for a moment."""
 
 
 def map_file(name: str) -> str:
-    """The file of a grid map: map.yaml for the furniture-free one, map_NAME.yaml for the others."""
-    # Not above: it brings the algorithms with it, and a list of runs needs none of them.
+    """Name a grid map: map.yaml for the furniture-free one, map_NAME.yaml for the others."""
+    # Imported here, as below: `ffmap runs` needs no algorithms.
     from ffmap.blueprints.entities import FURNITURE_FREE
 
     return "map.yaml" if name == FURNITURE_FREE else f"map_{name}.yaml"
 
 
 def rooms_file(name: str) -> str:
-    """The file of a map's rooms: rooms.geojson for the furniture-free one, rooms_NAME.geojson for the others."""
-    from ffmap.algorithms.maps.area_graph import Segmented  # as above
+    """Name the rooms of a map: rooms.geojson for the furniture-free one, or rooms_NAME.geojson."""
+    from ffmap.algorithms.maps.area_graph import Segmented
 
     return ROOMS if name == Segmented.FURNITURE_FREE else f"rooms_{name}.geojson"
 
 
 @cache
 def file_names() -> frozenset[str]:
-    """The names of all files and folders that a run, its evaluation and the commands after it write into its folder."""
-    from ffmap.algorithms.maps.area_graph import Segmented  # as above
+    """List all files and folders that commands write into the folder of a run."""
+    from ffmap.algorithms.maps.area_graph import Segmented
     from ffmap.algorithms.maps.rivals import Rival
     from ffmap.blueprints.entities import FURNITURE_FREE
 
-    names = {RUN_JSON, RECORDING, EVALUATION, TRAJECTORY, CLOUD, LABELLED_BAG, LABELLED_FOLDER, LABELS, METRICS}
-    names |= {WALLS, DOORS, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY, SPOOL}
+    names = {RUN_JSON, RECORDING, EVALUATION, TRAJECTORY, CLOUD, LABELLED_BAG, LABELLED_FOLDER}
+    names |= {LABELS, METRICS, WALLS, DOORS, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY, SPOOL}
     names |= {rooms_file(name) for name in Segmented}
-    maps = {map_file(name) for name in (FURNITURE_FREE, *Rival)}
-    return frozenset(names | maps | {str(Path(name).with_suffix(".pgm")) for name in maps})
+    for name in (FURNITURE_FREE, *Rival):
+        names |= {map_file(name), str(Path(map_file(name)).with_suffix(".pgm"))}
+    return frozenset(names)
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Paths within a run's folder."""
+    """The folder of a run."""
 
     path: Path
 
     @property
     def spool(self) -> Path:
-        """Finished blocks of scans; removed when the run is complete."""
+        """Finished blocks; removed when the run is complete."""
         return self.path / SPOOL
 
-    def block(self, number: int, suffix: str) -> Path:
-        """A block's file in the spool."""
-        return self.spool / f"{number:05d}{suffix}"
-
     def read_json(self) -> dict[str, Any]:
-        """run.json; raises InputError where there is none or it cannot be read."""
+        """Read run.json. Raises InputError where there is none or it is damaged."""
         path = self.path / RUN_JSON
         if not self.path.is_dir() or not os.path.lexists(path):
-            raise InputError(f"{self.path}: is no run folder (it has no {RUN_JSON}); give one that 'ffmap run' made")
+            raise InputError(
+                f"{self.path}: is no run folder (it has no {RUN_JSON}); give a folder that 'ffmap "
+                "run' wrote"
+            )
         return check_record(read_object(path, "give another run folder"), path)
 
     def write_json(self, content: dict[str, Any]) -> None:
-        """run.json, whole or not at all."""
+        """Write run.json, whole or not at all."""
         write_json(self.path / RUN_JSON, content)
+
+    def written_files(self) -> list[str]:
+        """List the files of a run that exist."""
+        known = file_names() - {SPOOL}
+        return sorted(entry.name for entry in self.path.iterdir() if entry.name in known)
+
+    def clear(self) -> None:
+        """Remove what an earlier run has written."""
+        shutil.rmtree(self.spool, ignore_errors=True)
+        labelled = self.path / LABELLED_FOLDER
+        if labelled.is_dir() and not labelled.is_symlink():
+            for pattern in _LABELLED:
+                for file in labelled.glob(pattern):
+                    file.unlink()
+            with suppress(OSError):
+                labelled.rmdir()
+        for name in file_names():
+            for path in (self.path / name, self.path / f"{name}.part"):
+                if path.is_symlink() or not path.is_dir():
+                    path.unlink(missing_ok=True)
+        self.spool.mkdir(exist_ok=True)
 
 
 def default_path(bag: BagPath, settings_hash: str) -> Path:
-    """runs/<bag>-<time>-<hash> below the working directory."""
+    """Return runs/<bag>-<time>-<hash> below the working directory."""
     return Path("runs") / f"{bag.stem}-{datetime.now():%Y%m%d-%H%M%S}-{settings_hash}"
 
 
 def create(path: Path, overwrite: bool = False, inputs: Iterable[Path] = ()) -> RunFolder:
-    """The folder of a new run, made if need be.
+    """Create the folder of a new run if need be; its files stay until `RunFolder.clear`.
 
-    Nothing in it is touched before `clear`.
-
-    overwrite: whether an earlier run may be there. inputs: what the run will read.
-    Raises InputError where there is an earlier run that must not be replaced, or that the new one reads from, where there
-    is anything but a run, and where the folder cannot be written.
+    overwrite: whether it may contain an earlier run. inputs: files that the run reads.
+    Raises InputError where the earlier run must not be replaced or is an input, where there is
+    anything but a run, and where the folder cannot be written.
     """
     try:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path}: is a file; give a folder to --out")
         if path.is_dir() and any(path.iterdir()) and not (path / RUN_JSON).exists():
-            raise InputError(f"{path}: holds files that are no run; give an empty or a new folder to --out")
+            raise InputError(f"{path}: has files that are no run; give an empty folder to --out")
         if (path / RUN_JSON).exists():
             _check_replaceable(RunFolder(path), overwrite, inputs)
         make_writable(path)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); give another folder to --out") from error
+        instead = "give another folder to --out"
+        raise InputError(f"{path}: cannot be written ({error.strerror}); {instead}") from error
     return RunFolder(path)
 
 
 def _check_replaceable(folder: RunFolder, overwrite: bool, inputs: Iterable[Path]) -> None:
-    path = folder.path
-    if folder.read_json().get("program") != PROGRAM:
-        raise InputError(f"{path}: holds a {RUN_JSON} that ffmap did not write; give an empty or a new folder to --out")
-    if not overwrite:
+    path, record = folder.path, folder.read_json()
+    if record.get("program") != PROGRAM:
         raise InputError(
-            f"{path}: holds {_state(folder)}; give another folder to --out, or replace it with --overwrite"
+            f"{path}: has a {RUN_JSON} that ffmap did not write; give an empty folder to --out"
+        )
+    if not overwrite:
+        kind = "a run"
+        if record.get("outcome") == "complete":
+            kind = "a finished run"
+        elif record.get("outcome") in ("aborted", "running"):
+            kind += f" that is not finished ('ffmap run --resume {path}' continues it)"
+        raise InputError(
+            f"{path}: contains {kind}; give another folder to --out, or replace it with --overwrite"
         )
     own = {path.resolve() / name for name in file_names()}
     for read in inputs:
         if own & {read.resolve(), *read.resolve().parents}:
             raise InputError(
-                f"{read}: is read, and belongs to the run that --overwrite replaces; give another folder to --out"
+                f"{read}: is an input, and belongs to the run that --overwrite replaces; give "
+                "another folder to --out"
             )
 
 
-def _state(folder: RunFolder) -> str:
-    """What kind of run a folder holds, in words."""
-    with suppress(InputError):
-        outcome = folder.read_json().get("outcome")
-        if outcome == "complete":
-            return "a finished run"
-        if outcome in ("aborted", "running"):
-            return f"a run that is not finished ('ffmap run --resume {folder.path}' goes on with it)"
-    return "a run"
-
-
-def written_files(folder: RunFolder) -> list[str]:
-    """Which of the files of a run there are, spool aside."""
-    return sorted(entry.name for entry in folder.path.iterdir() if entry.name in file_names() - {SPOOL})
-
-
-def _remove(path: Path) -> None:
-    """A file that a run has written, or a folder with what runs write into it."""
-    if not path.is_dir() or path.is_symlink():
-        path.unlink(missing_ok=True)
-        return
-    for entry in path.iterdir():
-        if _WITHIN.fullmatch(entry.name):
-            _remove(entry)
-    with suppress(OSError):
-        path.rmdir()
-
-
 @contextmanager
-def held(path: Path, patience_s: float = 0.15) -> Iterator[bool]:
-    """Keep every other run out of a run folder, or from some file, for as long as the context lasts.
+def held(path: Path, patience_s: float = _PATIENCE_S) -> Iterator[bool]:
+    """Lock a run folder, or another file, until the context or the process ends.
 
-    The system itself lets go of it when the process ends, however that happens, and nothing is left behind. Where it
-    cannot be locked, as on some network drives, nobody is kept out; yields whether anybody is.
-
-    patience_s: who asks whether the folder is held holds it for a moment. Raises InputError where another run is at it.
+    Yields False where it cannot be locked, as on some network drives: then nobody is kept out.
+    Raises InputError where another run has locked it.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except OSError:
-        # What is wrong with it is said by whoever reads it or writes there.
+        # Whoever reads or writes there reports the problem.
         yield False
         return
     try:
@@ -211,7 +206,8 @@ def _lock(descriptor: int, path: Path, patience_s: float) -> bool:
         except BlockingIOError:
             if time.monotonic() >= until_s:
                 raise InputError(
-                    f"{path}: another run is writing there; wait for its end, or give another folder to --out"
+                    f"{path}: another run is writing there; wait for its end, or give another "
+                    "folder to --out"
                 ) from None
             time.sleep(0.05)
         except OSError:
@@ -221,7 +217,7 @@ def _lock(descriptor: int, path: Path, patience_s: float) -> bool:
 
 
 def is_held(path: Path) -> bool:
-    """Whether a run is at a folder now, see `held`; where folders cannot be locked, nobody knows, and one may be."""
+    """Return whether a run is writing to a folder; True where folders cannot be locked."""
     try:
         with held(path) as locked:
             return path.exists() and not locked
@@ -230,19 +226,21 @@ def is_held(path: Path) -> bool:
 
 
 def check_same_run(folder: RunFolder, record: Mapping[str, Any]) -> None:
-    """Raises InputError where another run has taken the folder since `record` was read: nothing of this one belongs there."""
+    """Raise InputError where another run has taken the folder since `record` was read."""
     if folder.read_json().get("recording_id") != record.get("recording_id"):
-        raise InputError(f"{folder.path}: another run has taken this one's place meanwhile; start again")
+        raise InputError(f"{folder.path}: another run has replaced this one; start again")
 
 
 def check_no_run_loses(path: Path, option: str = "--out") -> None:
-    """Raises InputError where writing this file would replace what a run has made. option: what the path was given to."""
+    """Raise InputError where this file belongs to a run. option: names the path."""
     if path.name in file_names() and (path.parent / RUN_JSON).exists():
-        raise InputError(f"{path}: belongs to the run in that folder; give another place to {option}")
+        raise InputError(
+            f"{path}: belongs to the run in that folder; give another place to {option}"
+        )
 
 
 def make_writable(path: Path) -> None:
-    """Make a folder where there is none, and try to write in it; raises OSError where that fails."""
+    """Create a folder, and try to write in it. Raises OSError where that fails."""
     path.mkdir(parents=True, exist_ok=True)
     probe = path / f".writable-{os.getpid()}"
     probe.touch()
@@ -250,23 +248,15 @@ def make_writable(path: Path) -> None:
 
 
 def require_writable(path: Path, instead: str) -> None:
-    """`make_writable`, with InputError where it fails. instead: what the user can do, as "give another folder to --out"."""
+    """Call `make_writable`. Raises InputError where it fails. instead: what the user can do."""
     try:
         make_writable(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); {instead}") from error
 
 
-def clear(folder: RunFolder) -> None:
-    """Remove what an earlier run has left, once everything about the new run is known to be in order."""
-    for name in file_names():
-        _remove(folder.path / name)
-        _remove(folder.path / f"{name}.part")
-    folder.spool.mkdir(exist_ok=True)
-
-
 def point_latest_at(path: Path) -> None:
-    """Let `latest` beside the run folder point at it; leave what is there and no link to a run, and where none can be made."""
+    """Point the link `latest` beside a run folder at it, unless `latest` is no link to a run."""
     latest = path.parent / "latest"
     if latest.exists() and not (latest.is_symlink() and (latest / RUN_JSON).exists()):
         return

@@ -14,9 +14,9 @@ from ffmap.app.folder.atomic import write_geojson
 
 
 def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None) -> None:
-    """Wall faces as LineStrings in metres of the map frame; heights, thickness and spread in metres.
+    """Write wall faces as LineStrings; all lengths in metres, in the map frame.
 
-    thickness_m: (W,) of each face's wall, NaN where its other side was not seen; None where nobody asked.
+    thickness_m: (W,) of each face's wall, NaN where its other side was not seen.
     """
     properties = [
         {
@@ -33,11 +33,13 @@ def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None)
     _write_lines(path, walls.ends, properties)
 
 
-def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None] | None = None) -> None:
-    """Doors as LineStrings along the sill between the jambs, in metres of the map frame: below a closed door's leaf, and in the
-    middle of an open one's reveals.
+def write_doors(
+    path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None] | None = None
+) -> None:
+    """Write doors as LineStrings along the sill between the jambs, in the map frame.
 
-    rooms: names of the two rooms that each door joins, None for one that was not mapped.
+    The line is below the leaf of a closed door, and in the middle of an open one's reveals.
+    rooms: names of the two rooms that each door joins, None for a room that was not mapped.
     """
     properties = [
         {
@@ -51,15 +53,21 @@ def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] |
         }
         for i, width_m in enumerate(lengths_m(doors.ends))
     ]
-    behind_m = np.nan_to_num(np.where(doors.state == DoorState.CLOSED, doors.depth_m, 0.5 * doors.reveal_m))
+    closed = doors.state == DoorState.CLOSED
+    behind_m = np.nan_to_num(np.where(closed, doors.depth_m, 0.5 * doors.reveal_m))
     _write_lines(path, moved(doors.ends, doors.normal, -behind_m), properties)
 
 
 def _millimetres(length_m: np.floating[Any]) -> float:
-    """A length in metres, rounded to millimetres: it is known no better."""
+    """Round a length (m) to millimetres: it is known no better."""
     return round(float(length_m), 3)
 
 
-def _write_lines(path: Path, ends: FloatArray, properties: Sequence[dict[str, object]]) -> None:
-    lines = [{"type": "LineString", "coordinates": line} for line in ends]
-    write_geojson(path, [{"properties": p, "geometry": line} for p, line in zip(properties, lines, strict=True)])
+def _write_lines(
+    path: Path, ends: FloatArray, properties: Sequence[dict[str, object]]
+) -> None:
+    features = [
+        {"properties": own, "geometry": {"type": "LineString", "coordinates": line}}
+        for own, line in zip(properties, ends, strict=True)
+    ]
+    write_geojson(path, features)

@@ -11,7 +11,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.own_body import OwnBody
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.app.folder.finished_run import FROM_ODOMETRY
+from ffmap.app.folder.record import FROM_ODOMETRY
 from ffmap.app.record.curves import log_curve_sheet
 from ffmap.app.record.log import Log
 from ffmap.app.record.shapes import POINT_RADIUS_UI, annotations, rounded, transform, ui_radius, words

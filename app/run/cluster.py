@@ -1,10 +1,11 @@
-"""Work on a Dask cluster: its scheduler, workers and executor; imported only where one is named."""
+"""A Dask cluster as an executor; imported only where a scheduler is named."""
 
 import asyncio
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Executor, Future
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,69 +17,51 @@ _CONNECT_S = 5.0
 _PROGRAM = ("furniture-free-mapping", "git_revision")
 
 
-class _Remote(Executor):
-    """Dask's executor, which may be told to cancel what has not begun as those of the standard library are."""
-
-    def __init__(self, client: Any) -> None:  # noqa: ANN401 - distributed.Client
-        self._executor = client.get_executor(pure=False)
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
-        future: Future[Any] = self._executor.submit(fn, *args, **kwargs)
-        return future
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        self._executor.shutdown(wait=wait and not cancel_futures)
-
-
+@dataclass(frozen=True)
 class Cluster:
-    """A cluster whose workers were seen to have the program and all files that they need."""
+    """A cluster whose workers have the program and all files. slots: number of jobs at once."""
 
-    def __init__(self, client: Any) -> None:  # noqa: ANN401 - distributed.Client
-        self._client = client
-        self.executor: Executor = _Remote(client)
-
-    @property
-    def slots(self) -> int:
-        """How many jobs it takes at once: one for each thread of each worker that is there now."""
-        return sum(self._client.nthreads().values())
-
-    def all_see(self, path: Path) -> bool:
-        return all(self._client.run(os.path.exists, str(path)).values())
+    executor: Executor
+    slots: int
 
 
 @contextmanager
-def connect(address: str, needed: list[Path], stop: Callable[[], None] | None = None) -> Iterator[Cluster]:
-    """The cluster at a scheduler's address, if all its workers can do the work.
+def connect(
+    address: str, needed: Sequence[Path], stop: Callable[[], None] | None = None
+) -> Iterator[Cluster]:
+    """Connect to the scheduler at an address.
 
-    needed: files that every worker has to see under the same path. stop: called on every worker where the work ends early.
-    Raises InputError in seconds where Dask is not installed, no scheduler answers, or a worker cannot do the work; and where
-    the cluster loses a part of it.
+    needed: files that workers read, under the same path as here. stop: is called on every worker
+    where the work ends early.
+    Raises InputError where Dask is not installed, no scheduler answers, a worker cannot do the work,
+    or the cluster loses a part of it.
     """
     try:
         import distributed  # noqa: TID251 - its one place
     except ImportError:
         raise InputError(
-            f"--scheduler: Dask is not installed; '{pip_command('distributed')}' installs it (in a checkout, pip install "
-            "'.[cluster]' does too), or leave --scheduler out"
+            f"--scheduler: Dask is not installed; install it with '{pip_command('distributed')}', "
+            "or omit --scheduler"
         ) from None
     try:
-        # A client that finds nobody takes its time, and says more than one line.
+        # A client that finds no scheduler takes longer, and prints more than one line.
         asyncio.run(asyncio.wait_for(_knock(address), _CONNECT_S))
-        client: Any = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = distributed.Client(  # type: ignore[no-untyped-call]
+            address, timeout=_CONNECT_S, set_as_default=False
+        )
     except (OSError, ValueError, TypeError) as error:
-        reason = " ".join(str(error).split()) or "it says nothing"
+        reason = " ".join(str(error).split()) or "no answer"
         raise InputError(
-            f"--scheduler {address}: no Dask scheduler answers there ({reason}); 'dask scheduler' starts one and prints its "
-            "address, as in tcp://127.0.0.1:8786"
+            f"--scheduler {address}: no Dask scheduler answers there ({reason}); 'dask scheduler' "
+            "starts one and prints its address, as in tcp://127.0.0.1:8786"
         ) from None
     try:
-        cluster = Cluster(client)
-        _check(client, cluster, address, needed)
+        _check(client, address, needed)
         try:
-            yield cluster
+            slots = sum(client.nthreads().values())
+            yield Cluster(client.get_executor(pure=False), slots)
         except BaseException as error:
-            # Dask takes back what has not begun; what has would go on to its end.
-            cluster.executor.shutdown(wait=False)
+            # Dask cancels the jobs that have not started; `stop` ends the others.
             if stop is not None:
                 client.run(stop, on_error="ignore")
             if isinstance(error, distributed.KilledWorker | CancelledError):
@@ -91,36 +74,38 @@ def connect(address: str, needed: list[Path], stop: Callable[[], None] | None = 
 
 
 async def _knock(address: str) -> None:
-    """Raises OSError or ValueError where nobody speaks Dask's protocol."""
+    """Raise OSError or ValueError where no scheduler answers."""
     from distributed.comm.core import connect as reach  # noqa: TID251 - its one place
 
     comm = await reach(address, timeout=_CONNECT_S)  # type: ignore[no-untyped-call]
     await comm.close()
 
 
-def _check(client: Any, cluster: Cluster, address: str, needed: list[Path]) -> None:  # noqa: ANN401
+def _check(client: Any, address: str, needed: Sequence[Path]) -> None:  # noqa: ANN401
     try:
         client.wait_for_workers(1, timeout=_CONNECT_S)
     except TimeoutError:
-        raise InputError(f"--scheduler {address}: it has no worker; start some with 'dask worker {address}'") from None
+        raise InputError(
+            f"--scheduler {address}: has no worker; start some with 'dask worker {address}'"
+        ) from None
     try:
         found: dict[str, dict[str, str]] = client.run(versions)
     except Exception as error:
         raise InputError(
-            f"--scheduler {address}: a worker cannot import furniture-free-mapping ({type(error).__name__}: {error}); "
-            "start the workers in an environment that has it"
+            f"--scheduler {address}: a worker cannot import furniture-free-mapping "
+            f"({type(error).__name__}: {error}); start the workers in an environment that has it"
         ) from None
     own = " ".join(versions()[name] for name in _PROGRAM)
     for worker, of_worker in found.items():
         theirs = " ".join(of_worker.get(name, "") for name in _PROGRAM)
         if theirs != own:
             raise InputError(
-                f"--scheduler {address}: worker {worker} has another version of the program ({theirs}; here {own}); "
-                "install the same on all"
+                f"--scheduler {address}: worker {worker} has another version of the program "
+                f"({theirs}; here {own}); install the same on all"
             )
     for path in needed:
-        if not cluster.all_see(path):
+        if not all(client.run(os.path.exists, str(path)).values()):
             raise InputError(
-                f"--scheduler {address}: a worker does not see {path}; bags and --out have to lie where all workers "
-                "reach them under the same path"
+                f"--scheduler {address}: a worker does not see {path}; bags and --out need the "
+                "same path on all workers"
             )

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from ffmap.app.folder import names as run_folder
-from ffmap.app.folder.finished_run import FROM_ODOMETRY, mount_corrections
 from ffmap.app.folder.names import PROGRAM, RUN_JSON, RunFolder
-from ffmap.app.folder.record import bag_entry, bag_of
+from ffmap.app.folder.record import FROM_ODOMETRY, bag_entry, bag_of, mount_corrections
 from ffmap.app.record.stream import check_viewer, start_viewer
 from ffmap.app.run.given_poses import GivenPoses, given_poses
 from ffmap.app.setup.inputs import Inputs, find_inputs
@@ -66,7 +65,7 @@ def new_run(
     folder = run_folder.create(path, overwrite, read)
     with run_folder.held(path), _hashing(inputs.bag_path) as hashed:
         options = _with_viewer(options)
-        run_folder.clear(folder)
+        folder.clear()
         record = first_record(inputs, settings, options)
         if given is not None:
             record |= {"map_origin": given.origin_m.tolist(), "poses_frame": given.frame}

@@ -1,4 +1,4 @@
-"""How a run is made: one record from the command line to run.json, and back when it is resumed."""
+"""The options of a run: one record from the command line to run.json, and back when resumed."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -10,11 +10,10 @@ from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output
 
 
 class RunOptions(BaseModel):
-    """What is no setting of the method: how the bag is read, and what is written.
+    """How the bag is read, and what is written.
 
-    vertical: topics of the lidars that are labelled; empty to find them.
-    trajectory: file or topic of the poses; None for the odometry.
-    trajectory_frame: the frame that these poses are of; None to find it.
+    vertical: topics of the labelled lidars; empty to detect them. trajectory: file or topic of poses;
+    None for the odometry. trajectory_frame: their frame; None to detect it.
     digests: of the files that rig and trajectory name, in run.json only.
     """
 
@@ -32,7 +31,7 @@ class RunOptions(BaseModel):
     evaluate: bool = True
     digests: dict[str, str] = {}
 
-    # How the program is called this time: not in run.json, and free to differ when resumed.
+    # Not in run.json: a resumed run may differ in these.
     workers: int = Field(2, exclude=True)
     scheduler: str | None = Field(None, exclude=True)
     connect: str | None = Field(None, exclude=True)
@@ -43,32 +42,30 @@ class RunOptions(BaseModel):
     @field_validator("vertical", mode="before")
     @classmethod
     def _as_several(cls, value: object) -> object:
-        """Earlier versions wrote one topic, or null."""
+        """Accept one topic, or null, as earlier versions wrote."""
         return (value,) if isinstance(value, str) else value or ()
 
     @field_validator("outputs", mode="before")
     @classmethod
     def _as_named_now(cls, value: object) -> object:
-        """Earlier versions wrote "labelled" for the labelled bag."""
+        """Accept "labelled" for the labelled bag, as earlier versions wrote."""
         if not isinstance(value, list):
             return value
         return [Output.LABELLED_BAG if name == "labelled" else name for name in value]
 
     def stored(self) -> dict[str, Any]:
-        """What run.json keeps; with absolute paths and digests, as files may change meanwhile."""
+        """Return the options in run.json, with absolute paths and the digests of files."""
         kept = self.model_dump(mode="json")
-        if self.rig is not None:
-            kept["rig"] = str(self.rig.resolve())
-        if self.trajectory is not None and Path(self.trajectory).exists():
-            kept["trajectory"] = str(Path(self.trajectory).resolve())
-        files = {name: Path(kept[name]) for name in ("rig", "trajectory") if kept[name] is not None}
-        kept["digests"] = {
-            name: xxhash.xxh3_128_hexdigest(file.read_bytes())
-            for name, file in files.items()
-            if file.is_file()
-        }
+        kept["digests"] = {}
+        for name in ("rig", "trajectory"):
+            # A trajectory may be a topic.
+            if kept[name] is not None and Path(kept[name]).exists():
+                file = Path(kept[name]).resolve()
+                kept[name] = str(file)
+                if file.is_file():
+                    kept["digests"][name] = xxhash.xxh3_128_hexdigest(file.read_bytes())
         return kept
 
     def resumed_with(self, now: "RunOptions") -> "RunOptions":
-        """These options, read from run.json, with what is `now` given and not kept there."""
+        """Return these options with those of `now` that run.json does not contain."""
         return now.model_copy(update=self.model_dump())

@@ -1,4 +1,4 @@
-"""Which files of a run folder are written, and how much the recording holds of each scan."""
+"""The files that a run writes, and the amount of detail in its recording."""
 
 from enum import StrEnum
 
@@ -6,25 +6,28 @@ from ffmap.loaders.errors import InputError
 
 
 class Detail(StrEnum):
-    """How much is logged of each scan."""
+    """What is recorded of each scan."""
 
     LINES = "lines"
     """Every intermediate."""
     SCANS = "scans"
-    """The labelled cloud, planes and doors; no lines and curves."""
+    """The labelled cloud, planes and doors, without lines and curves."""
     MAP = "map"
-    """Poses, metrics and the map; nothing of the single scan."""
+    """Nothing but poses and metrics."""
 
 
 class Output(StrEnum):
-    """What `--outputs` names; run.json, trajectory.tum and, where the truth is known, metrics.json are always written."""
+    """Values of `--outputs`.
+
+    run.json, trajectory.tum and, with ground truth, metrics.json are always written.
+    """
 
     RECORDING = "recording"
-    """recording.rrd and, where the truth is known, evaluation.rrd."""
+    """recording.rrd and, with ground truth, evaluation.rrd."""
     LABELLED_BAG = "labelled-bag"
-    """labelled.bag or labelled/: every vertical cloud again, with its labels."""
+    """labelled.bag or labelled/: every vertical cloud with its labels."""
     LABELS = "labels"
-    """labels.parquet: the labels alone, a thousandth of the labelled bag; what compare, inspect and evaluate read."""
+    """labels.parquet, a thousandth of the labelled bag; compare, inspect and evaluate read it."""
     CLOUD = "cloud"
     """cloud.ply."""
     MAPS = "maps"
@@ -32,20 +35,19 @@ class Output(StrEnum):
     PLAN = "plan"
     """floorplan.svg and floorplan.dxf."""
     GEOJSON = "geojson"
-    """walls.geojson, doors.geojson, rooms.geojson, and rooms_NAME.geojson of the maps that the paper compares with."""
+    """walls.geojson, doors.geojson, rooms.geojson, and rooms_NAME.geojson of other maps."""
 
 
 RUN_OUTPUTS = tuple(output for output in Output if output is not Output.LABELLED_BAG)
-"""What a single run writes: the labelled bag is larger than all of these together."""
+"""Default of a run: the labelled bag is larger than all of these together."""
 SWEEP_OUTPUTS = (Output.RECORDING, Output.LABELS, Output.MAPS, Output.GEOJSON)
-"""What each run of a sweep writes: all that its figures are made from, and no cloud."""
+"""Default of each run of a sweep: everything that figures are computed from."""
 
 
 def parse_outputs(text: str | None, default: tuple[Output, ...]) -> tuple[Output, ...]:
-    """The outputs in a list like recording,maps, each once and as ordered above, or `default`.
+    """Parse a list like recording,maps; a list like +labelled-bag adds to `default`.
 
-    A list that begins with +, as in +labelled-bag, adds to `default`.
-    Raises InputError that names what is unknown and lists what is known.
+    Raises InputError that names an unknown output and lists the known ones.
     """
     if text is None:
         return default
@@ -55,5 +57,6 @@ def parse_outputs(text: str | None, default: tuple[Output, ...]) -> tuple[Output
         wanted |= set(default)
     for name in sorted(wanted):
         if name not in known:
-            raise InputError(f"--outputs: there is no output {name!r}; choose among {','.join(known)}")
+            choices = ",".join(known)
+            raise InputError(f"--outputs: there is no output {name!r}; choose among {choices}")
     return tuple(output for output in Output if output in wanted)

@@ -1,4 +1,4 @@
-"""All settings of a run: one frozen model for each step; defaults, then a TOML file, then --set."""
+"""All settings of a run: defaults, then a TOML file, then --set."""
 
 import difflib
 import hashlib
@@ -59,7 +59,9 @@ Steps = TypeVar("Steps", MethodSettings, FusionSettings, MapsSettings)
 class Settings(StepSettings):
     """Settings by step, in the order of the paper."""
 
-    seed: int = Field(0, ge=0, description="Seed of all random numbers; a scan's depend on it and on the scan's index.")
+    seed: int = Field(
+        0, ge=0, description="Seed of random numbers, together with the number of the scan."
+    )
     odometry: OdometrySettings = OdometrySettings()
     refinement: RefinementSettings = RefinementSettings()
     pose_graph: PoseGraphSettings = PoseGraphSettings()
@@ -97,37 +99,36 @@ class Settings(StepSettings):
 
     @property
     def method(self) -> MethodSettings:
-        """What labels a single scan."""
+        """Settings that label a single scan."""
         return self._of(MethodSettings)
 
     @property
     def fusion(self) -> FusionSettings:
-        """What makes the building of all scans."""
+        """Settings that fuse the building of all scans."""
         return self._of(FusionSettings)
 
     @property
     def maps(self) -> MapsSettings:
-        """What draws its maps."""
+        """Settings that draw its maps."""
         return self._of(MapsSettings)
 
     def _of(self, steps: type[Steps]) -> Steps:
-        """The settings of several steps, which a dataclass names."""
         return steps(**{step.name: getattr(self, step.name) for step in fields(steps)})
 
     def flat(self) -> dict[str, Any]:
-        """Every setting by its dotted name."""
+        """Return every setting by its dotted name."""
         return dotted_keys(self.model_dump(mode="json"))
 
     def short_hash(self, *steps: str) -> str:
-        """Eight hexadecimal digits that name these settings, or those of some steps."""
+        """Hash these settings, or those of some steps, to eight hexadecimal digits."""
         chosen = self.model_dump(mode="json", include=set(steps) if steps else None)
         return hashlib.sha256(json.dumps(chosen, sort_keys=True).encode()).hexdigest()[:8]
 
 
 def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
-    """Defaults, then `config` (TOML), then each override `step.name=value`.
+    """Apply `config` (TOML) to the defaults, then each override `step.name=value`.
 
-    Raises InputError that names the file or the setting, and suggests the right name.
+    Raises InputError that names the file or the setting, and suggests a name.
     """
     values: dict[str, Any] = {}
     source = "--set"
@@ -137,11 +138,15 @@ def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
     for override in overrides:
         if len(override) > SETTINGS_LINE_MAX:
             raise InputError(
-                f"--set {shortened(override)}: has more than {SETTINGS_LINE_MAX} characters; give one setting and its value"
+                f"--set {shortened(override)}: has more than {SETTINGS_LINE_MAX} characters; give "
+                "one setting and its value"
             )
         name, equals, text = override.partition("=")
         if not equals or not name:
-            raise InputError(f"--set {override}: write it as step.name=value, as in wall_planes.similarity_m=0.05")
+            raise InputError(
+                f"--set {override}: write it as step.name=value, as in "
+                "wall_planes.similarity_m=0.05"
+            )
         *steps, last = name.strip().split(".")
         target = values
         for step in steps:
@@ -153,56 +158,55 @@ def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
 
 
 def validate(values: dict[str, Any], source: str) -> Settings:
-    """Settings from nested values; raises InputError with the first thing that is wrong."""
+    """Create settings from nested values. Raises InputError with the first problem."""
     try:
         return Settings.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            if isinstance(first["input"], dict) and first["input"]:
-                name = f"{name}.{next(iter(first['input']))}"
-            raise InputError(f"{source}: there is no setting {name!r}; {_suggestion(name)}") from None
-        if first["type"] == "model_type":
-            own = next((known for known in Settings().flat() if known.startswith(f"{name}.")), "doors.lines_min")
-            raise InputError(
-                f"{source}: {name!r} is a group of settings and has no value itself; name one in it, as {own!r}; 'ffmap "
-                "settings' lists them all"
-            ) from None
-        value = first["input"]
-        wrong = first["msg"].removeprefix("Value error, ")
-        if isinstance(value, float) and not math.isfinite(value):
-            wrong = "is no finite number"  # a bound that not-a-number is said to be beyond is no help
-        raise InputError(
-            f"{source}: setting {name} = {_shortened(value)}: {wrong}; 'ffmap settings' lists them all"
-        ) from None
+        raise InputError(f"{source}: {_problem(error)}") from None
 
 
-def _shortened(value: object) -> str:
-    """A value as it is written, without the middle of a long one; of an integer with thousands of digits their number."""
+def _problem(error: ValidationError) -> str:
+    first = error.errors()[0]
+    name, value = ".".join(str(part) for part in first["loc"]), first["input"]
+    if first["type"] == "extra_forbidden":
+        if isinstance(value, dict) and value:
+            name = f"{name}.{next(iter(value))}"
+        return f"there is no setting {name!r}; {_suggestion(name)}"
+    if first["type"] == "model_type":
+        own = (known for known in Settings().flat() if known.startswith(f"{name}."))
+        return (
+            f"{name!r} is a group of settings and has no value itself; name one in it, as "
+            f"{next(own, 'doors.lines_min')!r}; {_LIST}"
+        )
+    wrong = first["msg"].removeprefix("Value error, ")
+    if isinstance(value, float) and not math.isfinite(value):
+        wrong = "is no finite number"
     if isinstance(value, int) and abs(value) > 10**100:
-        return f"an integer of {value.bit_length()} bits"
-    return reprlib.repr(value)
+        return f"setting {name} = an integer of {value.bit_length()} bits: {wrong}; {_LIST}"
+    return f"setting {name} = {reprlib.repr(value)}: {wrong}; {_LIST}"
+
+
+_LIST = "'ffmap settings' lists them all"
+_ALIKE = 0.6
+"""Minimum likeness of a setting that is suggested."""
 
 
 def _suggestion(name: str) -> str:
-    """The setting that may be meant: one whose own name is alike, under whatever step it stands."""
-    alike = [
-        known for known in Settings().flat() if _likeness(*(n.rpartition(".")[2] for n in (name, known))) >= _ALIKE
-    ]
+    """Suggest a setting whose own name is alike, in whatever step."""
+
+    def likeness(one: str, other: str) -> float:
+        return difflib.SequenceMatcher(None, one, other).ratio()
+
+    own = name.rpartition(".")[2]
+    known = Settings().flat()
+    alike = [other for other in known if likeness(own, other.rpartition(".")[2]) >= _ALIKE]
     if not alike:
-        return "'ffmap settings' lists them all"
-    return f"did you mean {max(alike, key=lambda known: _likeness(name, known))!r}? 'ffmap settings' lists them all"
-
-
-_ALIKE = 0.6
-
-
-def _likeness(name: str, other: str) -> float:
-    return difflib.SequenceMatcher(None, name, other).ratio()
+        return _LIST
+    return f"did you mean {max(alike, key=lambda other: likeness(name, other))!r}? {_LIST}"
 
 
 def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value
+    """Parse a TOML value; other text is a string."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except (ValueError, RecursionError):
@@ -210,12 +214,13 @@ def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value
 
 
 def as_toml(settings: Settings) -> str:
-    """The settings as a TOML file, each with its description as a comment."""
+    """Format the settings as a TOML file, each with its description as a comment."""
     lines = [f"# {Settings.model_fields['seed'].description}", f"seed = {settings.seed}"]
     for step, model in settings:
-        if not isinstance(model, StepSettings):
-            continue
-        lines += ["", f"# {(type(model).__doc__ or '').strip().splitlines()[0]}", f"[{step}]"]
-        for name, value in model:
-            lines += [f"# {type(model).model_fields[name].description}", f"{name} = {json.dumps(value)}"]
+        if isinstance(model, StepSettings):
+            kind = type(model)
+            lines += ["", f"# {(kind.__doc__ or '').strip().splitlines()[0]}", f"[{step}]"]
+            for name, value in model:
+                description = kind.model_fields[name].description
+                lines += [f"# {description}", f"{name} = {json.dumps(value)}"]
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""Which program made a run."""
+"""The versions of the program and of what decides results."""
 
 import platform
 import subprocess
@@ -9,7 +9,7 @@ PACKAGES = ("rerun-sdk", "numpy", "scipy", "numba", "rosbags", "kiss-icp", "smal
 
 
 def versions() -> dict[str, str]:
-    """Versions of the program, of Python and of what decides results."""
+    """Return the versions of the program, of Python and of packages."""
     return {
         "furniture-free-mapping": version("furniture-free-mapping"),
         "git_revision": git_revision(),
@@ -19,17 +19,14 @@ def versions() -> dict[str, str]:
 
 
 def git_revision() -> str:
-    """The checkout's commit, with + where files differ from it; empty where this is no checkout."""
+    """Return the commit of the checkout, with + if files differ; empty where there is none."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return ""
+    describe = ["describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"]
+    command = ["git", "-C", str(root), *describe]
     try:
-        return subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=False,
-        ).stdout.strip()
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
     except OSError:
         return ""
+    return done.stdout.strip()

@@ -489,7 +489,7 @@ def test_evaluation_writes_nothing_to_a_run_that_took_the_place_of_its_own(
     copy = shutil.copytree(finished, tmp_path / "run")
     run, before = open_run(copy), (copy / "metrics.json").read_bytes()
     (copy / "run.json").write_text(json.dumps({**run.record, "recording_id": "another"}))
-    with pytest.raises(InputError, match="another run has taken"):
+    with pytest.raises(InputError, match="another run has replaced"):
         evaluate_run(run, None, 1)
     assert (copy / "metrics.json").read_bytes() == before
 

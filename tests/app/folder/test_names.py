@@ -57,7 +57,7 @@ def test_what_runs_write_is_removed_and_nothing_else(home: RunFolder) -> None:
     before = contents(home)
     folder = create(home.path, overwrite=True)
     assert contents(home) == before
-    run_folder.clear(folder)
+    folder.clear()
     assert contents(home) == dict.fromkeys(USERS, "mine")
 
 
@@ -65,7 +65,7 @@ def test_what_no_run_wrote_is_refused(tmp_path: Path) -> None:
     theirs = tmp_path / "theirs"
     theirs.mkdir()
     (theirs / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="holds files that are no run"):
+    with pytest.raises(InputError, match="has files that are no run"):
         create(theirs, overwrite=True)
     (theirs / RUN_JSON).write_text(json.dumps({"experiment": 1}))
     with pytest.raises(InputError, match="that ffmap did not write"):
@@ -79,7 +79,7 @@ def test_run_is_not_replaced_by_one_that_reads_it(name: str, home: RunFolder, tm
     link = tmp_path / "link"
     link.symlink_to(home.path)
     for read in (home.path / name, link / name):
-        with pytest.raises(InputError, match="is read, and belongs to the run"):
+        with pytest.raises(InputError, match="is an input, and belongs to the run"):
             create(home.path, overwrite=True, inputs=[read])
     create(home.path, overwrite=True, inputs=[home.path / "notes.txt", tmp_path / "drive.bag"])
     assert contents(home) == before
@@ -108,5 +108,5 @@ def test_nothing_of_one_run_is_written_to_another_that_took_its_place(home: RunF
     home.write_json(record)
     run_folder.check_same_run(home, record)
     home.write_json({**record, "recording_id": "b"})
-    with pytest.raises(InputError, match="another run has taken"):
+    with pytest.raises(InputError, match="another run has replaced"):
         run_folder.check_same_run(home, record)

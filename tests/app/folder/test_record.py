@@ -10,7 +10,8 @@ import pytest
 
 from ffmap.app.analysis.comparison import figures
 from ffmap.app.analysis.evaluation import read_doors
-from ffmap.app.folder.finished_run import FinishedRun, mount_corrections, open_run
+from ffmap.app.folder.finished_run import FinishedRun, open_run
+from ffmap.app.folder.record import mount_corrections
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features
 

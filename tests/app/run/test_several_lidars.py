@@ -10,7 +10,8 @@ import pytest
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.app.analysis.evaluation import evaluate_run
-from ffmap.app.folder.finished_run import mount_corrections, open_run
+from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.record import mount_corrections
 from ffmap.app.record.read_back import readable, rows
 from ffmap.app.run.arrays import map_arrays, unpack_rows
 from ffmap.app.run.extrinsics import check_extrinsics
