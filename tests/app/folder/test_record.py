@@ -68,7 +68,7 @@ def test_a_record_of_another_version_may_hold_more_and_less(tmp_path: Path) -> N
 def test_metrics_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
     (tmp_path / "metrics.json").write_text("[]")
-    with pytest.raises(InputError, match=r"metrics\.json: holds no names and values"):
+    with pytest.raises(InputError, match=r"metrics\.json: contains no names and values"):
         figures([open_run(tmp_path)])
 
 

@@ -27,5 +27,5 @@ def test_what_was_left_out_is_named_with_its_time() -> None:
 def test_what_may_be_at_a_wrong_place_is_named_with_its_time_and_why() -> None:
     (line,) = parts([*range(30)], [(10, "it is dark")])
     assert line == (
-        "the 4.0 s after 0.9 s (20 scans) could not be joined to the map for certain, and may lie at a wrong place: it is dark"
+        "the 4.0 s after 0.9 s (20 scans) could not be joined to the map for certain, and may be at a wrong place: it is dark"
     )
