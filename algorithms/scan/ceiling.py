@@ -17,6 +17,7 @@ _HEIGHT_MAX_M = 50.0  # maximum height (m) of a ceiling; a damaged return may be
 _RETURNS = 8_000  # number of returns in use: they find a plane and place it to a millimetre
 _HYPOTHESES = 500  # RANSAC hypotheses for each ceiling
 _CEILINGS_MAX = 3  # rooms that are seen through doors have their own ceilings
+_SHARE_MIN = 0.02  # minimum share of the scan's returns on the largest ceiling
 _FURTHER_SHARE_MIN = 0.004  # minimum share of the scan's returns on a further ceiling
 _FURTHER_SUPPORT_MIN = 0.2  # its minimum support, as a share of the largest ceiling's
 _SUPPORT_MIN = 30  # minimum number of returns on any ceiling
@@ -52,7 +53,7 @@ def find_ceilings(
     generator = np.random.default_rng(seed)
     ceilings: list[HorizontalPlane] = []
     for _ in range(_CEILINGS_MAX + 1):
-        share = _FURTHER_SHARE_MIN if ceilings else settings.ceiling_support_min
+        share = _FURTHER_SHARE_MIN if ceilings else _SHARE_MIN
         support_min = max(_SUPPORT_MIN, int(share * len(points_level) / stride))
         if len(points) < support_min or len(ceilings) == _CEILINGS_MAX:
             break
@@ -121,7 +122,7 @@ def below_ceiling(points_level: FloatArray, planes: FloatArray) -> FloatArray:
 
 
 @numba.njit(cache=True, nogil=True)
-def _below(points: FloatArray, planes: FloatArray) -> FloatArray:  # pragma: no cover
+def _below(points: FloatArray, planes: FloatArray) -> FloatArray:
     below = np.full(len(points), np.inf, np.float32)
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]

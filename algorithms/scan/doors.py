@@ -20,6 +20,8 @@ _BEFORE_M = 0.08  # a return farther before the plane (m) hides the wall and is 
 _DEPTH_MAX_M = 0.5
 """Maximum depth (m) that a return counts with: a few far returns through an open door would
 decide otherwise."""
+_LINTEL_MIN_M = 0.06  # minimum height (m) of the wall above a door
+_POINTS_MIN = 12  # minimum number of returns behind the plane in a line
 _GAP_MAX_M = 0.35  # maximum gap (m) between neighbouring lines of an opening
 
 
@@ -44,20 +46,12 @@ class DoorsSettings(StepSettings):
     height_max_m: float = Field(
         2.6, gt=0, description="Maximum height above the floor (m) at which a door begins. III.C."
     )
-    lintel_min_m: float = Field(
-        0.06, ge=0, description="Minimum height (m) of the wall above a door. III.C, condition 1."
-    )
     exceptions_max: float = Field(
         0.15,
         ge=0,
         lt=1,
         description="Maximum share of returns on the plane below the start: noise, a handle. "
         "III.C.",
-    )
-    points_min: int = Field(
-        12,
-        ge=1,
-        description="Minimum number of returns behind the plane in a line. III.C, condition 2.",
     )
     lines_min: int = Field(
         2, ge=1, description="Minimum number of neighbouring lines in an opening. III.C."
@@ -126,7 +120,7 @@ class Openings:
     plane: its wall plane.
     ends: (O, 2, 2) x and y of its two sides, on the plane.
     head_m: height of the lintel's underside.
-    depth_m: median depth of what is behind.
+    depth_m: median depth of its lines.
     state: uint8, see `DoorState`.
     line_count: number of its lines.
     door_line_opening: (D,) the opening of each row of `DoorLines`, -1 for none: its conditions
@@ -173,9 +167,7 @@ def find_door_lines(
         np.ascontiguousarray(returns.origin_level, np.float64),
         settings.recess_min_m,
         settings.open_depth_m,
-        settings.lintel_min_m,
         settings.exceptions_max,
-        settings.points_min,
     )
     recess_m, above_m, below_m, on_plane_share, x, y = measured.T
     behind = depression == Depression.HELD
@@ -213,10 +205,8 @@ def _find_depressions(
     origin: FloatArray,
     recess_min_m: float,
     open_depth_m: float,
-    lintel_min_m: float,
     exceptions_max: float,
-    points_min: int,
-) -> tuple[IntArray, UInt8Array, FloatArray]:  # pragma: no cover
+) -> tuple[IntArray, UInt8Array, FloatArray]:
     """Condition 2 for lines (D,), each with the normal (D, 2) and offset (D,) of its plane.
 
     The wall ends and the depression begins where one split of the line, from top to bottom, parts
@@ -230,28 +220,23 @@ def _find_depressions(
     measured = np.full((len(line), 6), np.nan)
     for d in range(len(line)):
         own = order[starts[line[d]] : starts[line[d] + 1]][::-1]  # from the top down
-        before = np.empty(len(own))  # distance before the plane
-        for j, i in enumerate(own):
-            before[j] = normal[d, 0] * points[i, 0] + normal[d, 1] * points[i, 1] - offset[d]
+        xyz = points[own]
+        before = normal[d, 0] * xyz[:, 0] + normal[d, 1] * xyz[:, 1] - offset[d]
         # The wall begins at the highest return on the plane; returns well before it hide the wall.
         on_wall = np.flatnonzero(np.abs(before) <= _WALL_DISTANCE_M)
         top = on_wall[0] if len(on_wall) else len(own)
         used = top + np.flatnonzero(before[top:] < _BEFORE_M)
-        own, before = own[used], before[used]
-        if len(own) < points_min + 3:  # of the wall above
+        own, xyz, before = own[used], xyz[used], before[used]
+        if len(own) < _POINTS_MIN + 3:  # of the wall above
             continue
         # Far returns behind an open door count no more than a closed door's when it is split.
-        split = _best_split(
-            np.maximum(before, -2.0 * open_depth_m),
-            height[own[0]] - height[own] >= lintel_min_m,
-            recess_min_m,
-            points_min,
-        )
-        measured[d, 0] = split[1]
+        limited = np.maximum(before, -2.0 * open_depth_m)
+        is_lintel = height[own[0]] - height[own] >= _LINTEL_MIN_M
+        split, measured[d, 0] = _best_split(limited, is_lintel, recess_min_m)
         depression[d] = Depression.NONE
-        if split[0] < 0:
+        if split < 0:
             continue
-        above, below = before[: split[0] + 1], before[split[0] + 1 :]
+        above, below = before[: split + 1], before[split + 1 :]
         above_m = np.maximum(above, -_DEPTH_MAX_M).mean()
         below_m = np.maximum(below, -_DEPTH_MAX_M).mean()
         # A return a quarter of a recess behind the plane is on it.
@@ -266,21 +251,17 @@ def _find_depressions(
             depression[d] = Depression.EXCEPTIONS
         else:
             depression[d] = Depression.HELD
-            start[d] = own[split[0]]
+            start[d] = own[split]
             sensor = normal[d, 0] * origin[0] + normal[d, 1] * origin[1] - offset[d]
-            x, y = 0.0, 0.0
-            for j in range(split[0] + 1, len(own)):
-                t = sensor / max(sensor - before[j], 1e-6)
-                x += origin[0] + t * (points[own[j], 0] - origin[0])
-                y += origin[1] + t * (points[own[j], 1] - origin[1])
-            measured[d, 4:] = np.array([x, y]) / len(below)
+            t = sensor / np.maximum(sensor - below, 1e-6)
+            for axis in range(2):
+                passed = origin[axis] + t * (xyz[split + 1 :, axis] - origin[axis])
+                measured[d, 4 + axis] = passed.mean()
     return start, depression, measured
 
 
 @numba.njit(cache=True, nogil=True)
-def _best_split(
-    before: FloatArray, allowed: BoolArray, recess_min_m: float, points_min: int
-) -> tuple[int, float]:  # pragma: no cover
+def _best_split(before: FloatArray, allowed: BoolArray, recess_min_m: float) -> tuple[int, float]:
     """The last place above the best split (-1 for none), and the largest step back of any split.
 
     The best split has the largest variance between its two parts (Otsu, 1979).
@@ -288,7 +269,7 @@ def _best_split(
     count = len(before)
     total, above = before.sum(), 0.0
     best, most, largest = -1, 0.0, np.nan
-    for j in range(count - points_min):
+    for j in range(count - _POINTS_MIN):
         above += before[j]
         if not allowed[j]:
             continue

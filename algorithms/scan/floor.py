@@ -19,7 +19,7 @@ _CELLS = int(2 * FLOOR_RANGE_M / _CELL_M)
 _SUPPORT_MIN = 20  # minimum number of returns on a floor
 _PLANE_RANGE_M = 10.0  # maximum horizontal range (m) of returns that the floor's plane is fitted to
 _BEND_CELLS_MIN = 40  # fewer cells do not distinguish two planes from one
-_BEND_DISTANCE_M = 0.012  # maximum distance (m) of a cell's height from the plane that it lies on
+_BEND_DISTANCE_M = 0.012  # maximum distance (m) of a cell's height from its plane
 _BEND_SHARE_MIN = 0.07
 """A floor bends where two planes hold a share of the cells that exceeds one plane's by this, and
 each of the two holds at least this share."""
@@ -61,9 +61,7 @@ class Floor(HorizontalPlane):
 
 
 @numba.njit(cache=True, nogil=True)
-def heights_above_pieces(
-    points: FloatArray, pieces: FloatArray, is_foot: bool
-) -> FloatArray:  # pragma: no cover
+def heights_above_pieces(points: FloatArray, pieces: FloatArray, is_foot: bool) -> FloatArray:
     """Heights (n,) float32 above a floor of two pieces (2, 3); parameters as in `Floor`."""
     heights = np.empty(len(points), np.float32)
     for i in range(len(points)):
@@ -79,10 +77,10 @@ def find_floor(
 ) -> Floor:
     """Find the floor below the robot (paper: "we can straightforward locate where the floor is").
 
-    The floor is expected at height 0, as far below the base as at the first pose (robots that
-    drive, on ramps too), or at the map's floor (what is carried or flies). Near these heights, the
-    height that covers most ground is refined to a plane, or to two where the floor bends.
-    Without enough returns the floor is at height 0.
+    The floor is expected at height 0, as far below the base as at the first pose (robots on wheels,
+    also on ramps), or at the map's floor (carried or flying lidars). Near these heights, the height
+    that covers most ground is refined to a plane, or to two where the floor bends. Without enough
+    returns the floor is at height 0.
 
     map_floor_m: height of the map's floor in the level frame.
     """
@@ -129,7 +127,7 @@ def _fit(points_level: FloatArray, height_m: float, settings: RearrangementSetti
 @numba.njit(cache=True, nogil=True)
 def _count_heights(
     points: FloatArray, height_m: float, slope: FloatArray, search_m: float
-) -> tuple[IntArray, IntArray]:  # pragma: no cover
+) -> tuple[IntArray, IntArray]:
     """Cells (m,) of the ground, and their number of returns (m, bins) by height about a plane."""
     bins = int(np.ceil(2 * search_m / HEIGHT_BIN_M))
     counts = np.zeros((_CELLS * _CELLS, bins), np.int32)

@@ -122,9 +122,10 @@ def label_scan(
     returns = Returns(placed.points_level, height_m, placed.origin_level)
     ceilings = find_ceilings(placed.points_level, height_m, floor, rearrangement, seed)
     below_m = below_ceiling(placed.points_level, plane_rows(ceilings))
-    label = _label_horizontal(
-        height_m, below_m, rearrangement.floor_height_m, rearrangement.ceiling_distance_m
-    )
+    is_ceiling = np.abs(below_m) < rearrangement.ceiling_distance_m
+    is_ceiling &= height_m > _CEILING_LOWEST_M
+    label = np.where(is_ceiling, np.uint8(Label.CEILING), np.uint8(Label.CLUTTER))
+    label[np.abs(height_m) < rearrangement.floor_height_m] = Label.FLOOR
     lines = make_point_lines(
         scan, placed.down_sensor, label != Label.CLUTTER, rearrangement, column_pairs
     )
@@ -163,19 +164,6 @@ def label_scan(
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _label_horizontal(
-    height: FloatArray, below: FloatArray, floor_height_m: float, ceiling_distance_m: float
-) -> UInt8Array:  # pragma: no cover
-    label = np.full(len(height), np.uint8(Label.CLUTTER))
-    for i in range(len(height)):
-        if abs(height[i]) < floor_height_m:
-            label[i] = Label.FLOOR
-        elif height[i] > _CEILING_LOWEST_M and abs(below[i]) < ceiling_distance_m:
-            label[i] = Label.CEILING
-    return label
-
-
 def _completed_ends(planes: WallPlanes) -> FloatArray:
     """(K, 2) both ends along each plane, with a margin, and completed to corners with others."""
     normal, offset_m = planes.normal, planes.offset_m
@@ -208,7 +196,7 @@ def _label_walls(
     offset: FloatArray,
     ends: FloatArray,
     distance_m: float,
-) -> IntArray:  # pragma: no cover
+) -> IntArray:
     """Label returns near a plane as wall; the plane (n,) int16 of each, -1 for none.
 
     Every return is tested against every plane of the scan, not that of its own line alone. Along an

@@ -87,7 +87,7 @@ def make_point_lines(
 @numba.njit(cache=True, nogil=True)
 def _halves(
     ring_order: IntArray, ring_starts: IntArray, turn_rad: FloatArray, down_rad: float
-) -> tuple[IntArray, IntArray]:  # pragma: no cover
+) -> tuple[IntArray, IntArray]:
     """`order` and `starts` of `PointLines`: each ring is cut at straight down and straight up."""
     order, starts = np.empty_like(ring_order), np.zeros(2 * len(ring_starts) - 1, np.int32)
     up_rad = down_rad - np.pi if down_rad > 0.0 else down_rad + np.pi
@@ -113,7 +113,7 @@ def _columns(
     rank: IntArray,
     down: FloatArray,
     pairs: int,
-) -> tuple[IntArray, FloatArray, BoolArray]:  # pragma: no cover
+) -> tuple[IntArray, FloatArray, BoolArray]:
     """The line (r,) of each return, the sine (r,) of its elevation, and whether it is sampled.
 
     Sampled are the returns nearest to the middle of their sector, one of each emitter.
@@ -141,7 +141,7 @@ def _columns(
 
 
 @numba.njit(cache=True, nogil=True)
-def _count(chosen: BoolArray, order: IntArray, starts: IntArray) -> IntArray:  # pragma: no cover
+def _count(chosen: BoolArray, order: IntArray, starts: IntArray) -> IntArray:
     count = np.zeros(len(starts) - 1, np.int64)
     for line in range(len(count)):
         for j in range(starts[line], starts[line + 1]):
@@ -156,7 +156,7 @@ def _resample(
     is_horizontal: BoolArray,
     is_sampled: BoolArray,
     points_min: int,
-) -> IntArray:  # pragma: no cover
+) -> IntArray:
     """(2n, 200) evenly spaced sampled returns of each line with enough of non-horizontal ones."""
     lines = len(starts) - 1
     samples = np.full((lines, SAMPLES), -1, np.int32)

@@ -45,9 +45,6 @@ class RearrangementSettings(StepSettings):
     ceiling_height_min_m: float = Field(
         2.1, gt=0, description="Minimum height (m) of a ceiling above the floor. III.A."
     )
-    ceiling_support_min: float = Field(
-        0.02, ge=0, le=1, description="Minimum share of the scan's returns on a ceiling. III.A."
-    )
     line_points_min: int = Field(
         20,
         ge=2,
@@ -127,7 +124,7 @@ def refine_plane(
 @numba.njit(cache=True, nogil=True)
 def _normal_equations(
     points: FloatArray, height_m: float, slope: FloatArray, distance_m: float, range_m: float
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+) -> tuple[FloatArray, FloatArray]:
     """Σ a aᵀ (3, 3) and Σ a r (3,), with a = (1, x, y) and r the residual height of each return."""
     n = sx = sy = sxx = sxy = syy = sr = sxr = syr = 0.0
     for i in range(len(points)):

@@ -74,10 +74,10 @@ def smooth_ranges(scan: Scan, settings: SmoothingSettings) -> SmoothedRanges:
     return SmoothedRanges(*_moved(points, rings.rank, range_m, smooth_m), scatter_m)
 
 
-# The loops over single returns follow the firings, of which each next is the next of its ring:
-# along the rings, whose returns are far apart in memory, they would take twice as long.
+# Both loops over single returns follow the firings, in the order of memory. Along the rings they
+# would take twice as long.
 @numba.njit(cache=True, nogil=True)
-def _along_rings(points: FloatArray, rank: IntArray) -> FloatArray:  # pragma: no cover
+def _along_rings(points: FloatArray, rank: IntArray) -> FloatArray:
     """Range (n,) float64 of the returns in the order of their rings."""
     range_m = np.empty(len(rank))
     for i, j in enumerate(rank):
@@ -90,7 +90,7 @@ def _along_rings(points: FloatArray, rank: IntArray) -> FloatArray:  # pragma: n
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _moved(
     points: FloatArray, rank: IntArray, range_m: FloatArray, smooth_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:  # pragma: no cover
+) -> tuple[FloatArray, FloatArray]:
     """The returns (n, 3) at their smoothed ranges, and how far (n,) they were moved."""
     moved, correction_m = np.empty_like(points), np.empty(len(points), np.float32)
     for i, j in enumerate(rank):
@@ -102,7 +102,7 @@ def _moved(
 
 
 @numba.njit(cache=True, nogil=True)
-def _scatter(range_m: FloatArray, turn: FloatArray, starts: IntArray) -> float:  # pragma: no cover
+def _scatter(range_m: FloatArray, turn: FloatArray, starts: IntArray) -> float:
     """Scatter from second differences of neighbours, whose median edges do not affect.
 
     Of several returns of one ray the first counts. The median is that of bins of a hundredth of a
@@ -134,7 +134,7 @@ def _scatter(range_m: FloatArray, turn: FloatArray, starts: IntArray) -> float: 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_CONTRACT)
 def _smooth(
     range_m: FloatArray, turn: FloatArray, starts: IntArray, returns: int, scatter_m: float
-) -> FloatArray:  # pragma: no cover
+) -> FloatArray:
     """Ranges on the facets; all arrays in the order of the rings.
 
     Facets are fitted to inverse ranges: those of a plane are a line over a small turn.
@@ -206,7 +206,7 @@ def _fit_facets(
     level: FloatArray,
     slope: FloatArray,
     residual: FloatArray,
-) -> None:  # pragma: no cover
+) -> None:
     """Fit a facet of n returns at each place in [first, stop), by sums that slide along.
 
     level, slope, residual: of the inverse range, and the mean square distance (m²); filled from the

@@ -165,13 +165,7 @@ def _rows(features: Features, prefix: str, chosen: BoolArray) -> dict[str, npt.N
 
 def without_rays(features: Features) -> Features:
     """The same scans with their wall planes alone, which take little memory beside the rays."""
-    return replace(
-        features,
-        ray_count=np.zeros_like(features.ray_count),
-        ray_end_map=np.zeros((0, 3), np.float32),
-        ray_label=np.zeros(0, np.uint8),
-        ray_intensity=NO_INTENSITY,
-    )
+    return select_rays(features, np.zeros(len(features.ray_label), bool))
 
 
 def with_rays(

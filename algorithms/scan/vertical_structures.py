@@ -10,8 +10,8 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.scan.rearrangement import Returns
 
-_SLOPE_MAX = 14.0  # steepest slope (m per m) that is kept as measured
-_SLOPE_LEVEL = 20.0  # slope (m per m) of what is more level
+_JUMP_M = 0.12  # maximum step (m) in horizontal range between neighbours of one structure
+_SLOPE_MAX, _SLOPE_LEVEL = 14.0, 20.0  # slopes (m per m) beyond the first are set to the second
 
 
 class VerticalStructuresSettings(StepSettings):
@@ -29,12 +29,6 @@ class VerticalStructuresSettings(StepSettings):
         le=2,
         description="Length (m) over which the slope is measured. The neighbours of eq. 2 are "
         "millimetres apart, where noise decides. III.B.",
-    )
-    jump_m: float = Field(
-        0.12,
-        gt=0,
-        description="Maximum step (m) in horizontal range between neighbours of one structure. "
-        "III.B.",
     )
     points_min: int = Field(
         10,
@@ -88,7 +82,6 @@ def find_vertical_structures(
         np.ascontiguousarray(returns.origin_level[:2], np.float64),
         settings.span_m,
         settings.slope_max,
-        settings.jump_m,
     )
     upright = np.abs(slope) < settings.slope_max
     joined = np.zeros((len(samples), samples.shape[1] + 1), bool)  # with the sample before
@@ -117,13 +110,8 @@ def find_vertical_structures(
 
 @numba.njit(cache=True, nogil=True)
 def _differences(
-    points: FloatArray,
-    samples: IntArray,
-    origin: FloatArray,
-    span_m: float,
-    slope_max: float,
-    jump_m: float,
-) -> tuple[FloatArray, FloatArray, BoolArray]:  # pragma: no cover
+    points: FloatArray, samples: IntArray, origin: FloatArray, span_m: float, slope_max: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Eq. 2, the slope over the span, and whether the line jumps before a sample: (L, 200) each."""
     lines, count = samples.shape
     difference = np.full((lines, count), np.nan, np.float32)
@@ -142,7 +130,7 @@ def _differences(
             d_rho, d_z = rho[j] - rho[j - 1], z[j] - z[j - 1]
             if d_z != 0.0:
                 difference[line, j] = d_rho / d_z
-            cut[line, j] = abs(d_rho) > max(jump_m, slope_max * abs(d_z))
+            cut[line, j] = abs(d_rho) > max(_JUMP_M, slope_max * abs(d_z))
             if cut[line, j]:
                 _slopes(rho[first:j], z[first:j], span_m, slope[line, first:j])
                 first = j
@@ -151,9 +139,7 @@ def _differences(
 
 
 @numba.njit(cache=True, nogil=True)
-def _slopes(
-    rho: FloatArray, z: FloatArray, span_m: float, slope: FloatArray
-) -> None:  # pragma: no cover
+def _slopes(rho: FloatArray, z: FloatArray, span_m: float, slope: FloatArray) -> None:
     """Fill Δρ/Δz of the principal direction about each sample, over at least the span."""
     count = len(rho)
     if count < 3:
@@ -194,5 +180,5 @@ def _slopes(
 
 
 @numba.njit(cache=True, nogil=True)
-def _apart_squared(rho: FloatArray, z: FloatArray, i: int, j: int) -> float:  # pragma: no cover
+def _apart_squared(rho: FloatArray, z: FloatArray, i: int, j: int) -> float:
     return float((rho[i] - rho[j]) ** 2 + (z[i] - z[j]) ** 2)

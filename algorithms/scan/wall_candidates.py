@@ -12,7 +12,7 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 
-_UPPER_PART_M = 0.4  # height (m) of a candidate's upper part: no leaf or furniture stands before it
+_UPPER_PART_M = 0.4  # height (m) of a candidate's upper part: nothing is before it
 OVERHANG_M = 0.2
 """Minimum depth (m) of a soffit, a vault, a roof or a valance before a wall: leaves and blinds are
 less deep in their openings."""
@@ -175,7 +175,7 @@ def _reach_of(
 @numba.njit(cache=True, nogil=True)
 def _overhung(
     points: FloatArray, samples: IntArray, last: IntArray, origin: FloatArray
-) -> BoolArray:  # pragma: no cover
+) -> BoolArray:
     """Whether a line, above a structure, touches it, is no farther and no lower, and comes nearer.
 
     No ray passes above such a structure, as rays do over furniture and below what hangs before a
@@ -202,7 +202,7 @@ def _overhung(
 @numba.njit(cache=True, nogil=True)
 def _upper_parts(
     points: FloatArray, height: FloatArray, samples: IntArray, first: IntArray, last: IntArray
-) -> tuple[FloatArray, IntArray]:  # pragma: no cover
+) -> tuple[FloatArray, IntArray]:
     """`moments` and `first` of `WallCandidates`, from their lines (C, 200) and whole extents."""
     moments = np.zeros((len(samples), 6))
     lowest = first.copy()

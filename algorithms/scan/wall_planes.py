@@ -134,7 +134,7 @@ def grow_wall_planes(
         lowest = behind if len(behind) >= settings.lines_min else own
         if structures.bottom_m[lowest].min() >= settings.bottom_max_m:
             verdict[k] = Membership.DUCT
-    # In no plane is -1, the last row of what is appended to.
+    # Plane -1, none, is the last row of the appended arrays.
     membership = np.where(reaches, np.append(verdict, Membership.ALONE)[plane], Membership.REFUSED)
     is_wall = verdict == Membership.IN_PLANE
     plane = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)[plane].astype(np.int32)
@@ -177,9 +177,7 @@ def grow_wall_planes(
 
 
 @numba.njit(cache=True, nogil=True)
-def fit_upright_plane(
-    m: FloatArray,
-) -> tuple[float, float, float, float, float]:  # pragma: no cover
+def fit_upright_plane(m: FloatArray) -> tuple[float, float, float, float, float]:
     """Ω: the upright plane of least squares from moments n, Σx, Σy, Σxx, Σxy, Σyy.
 
     Returns its normal's x and y, its offset, the RMS distance of the points from it and their RMS
@@ -196,7 +194,7 @@ def fit_upright_plane(
 
 
 @numba.njit(cache=True, nogil=True)
-def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:  # pragma: no cover
+def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:
     """Θ: RMS distance of the samples of a candidate, given by their moments, from a plane."""
     square = nx * nx * m[3] + 2.0 * nx * ny * m[4] + ny * ny * m[5]
     square -= 2.0 * offset * (nx * m[1] + ny * m[2])
@@ -210,7 +208,7 @@ def _grow(
     reaches: BoolArray,
     gap_max_m: FloatArray,
     similarity_m: float,
-) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:  # pragma: no cover
+) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:
     """Algorithm 1: the plane (C,) of each candidate, its `Growth`, its Θ and its gap.
 
     moments, part, gap_max_m: as of `WallCandidates`. reaches: (C,) whether it is high enough.
@@ -274,7 +272,7 @@ def _settle(
 
 
 @numba.njit(cache=True, nogil=True)
-def _thetas(moments: FloatArray, fits: FloatArray) -> FloatArray:  # pragma: no cover
+def _thetas(moments: FloatArray, fits: FloatArray) -> FloatArray:
     """Θ (C, P) of each candidate to each plane."""
     theta = np.empty((len(moments), len(fits)))
     for c in range(len(moments)):
@@ -284,9 +282,7 @@ def _thetas(moments: FloatArray, fits: FloatArray) -> FloatArray:  # pragma: no 
 
 
 @numba.njit(cache=True, nogil=True)
-def _totals(
-    plane: IntArray, moments: FloatArray, count: int
-) -> tuple[FloatArray, IntArray]:  # pragma: no cover
+def _totals(plane: IntArray, moments: FloatArray, count: int) -> tuple[FloatArray, IntArray]:
     """The summed moments (P, 6) of each plane's candidates, and their number (P,)."""
     total, lines = np.zeros((count, 6)), np.zeros(count, np.int64)
     for c in range(len(plane)):
@@ -299,7 +295,7 @@ def _totals(
 @numba.njit(cache=True, nogil=True)
 def _fit_planes(
     plane: IntArray, moments: FloatArray, count: int, lines_min: int
-) -> tuple[FloatArray, IntArray, FloatArray]:  # pragma: no cover
+) -> tuple[FloatArray, IntArray, FloatArray]:
     """`_totals`, and normal, offset, RMS and both ends along it (P, 6) of planes of enough lines.
 
     Planes of fewer lines begin at infinity.
@@ -316,9 +312,7 @@ def _fit_planes(
 
 
 @numba.njit(cache=True, nogil=True)
-def _span(
-    moments: FloatArray, members: BoolArray, nx: float, ny: float
-) -> tuple[float, float]:  # pragma: no cover
+def _span(moments: FloatArray, members: BoolArray, nx: float, ny: float) -> tuple[float, float]:
     """Both ends along a plane of its members' upper parts: mean ± `_SPREADS` × spread."""
     low, high = np.inf, -np.inf
     for c in np.flatnonzero(members):
@@ -338,7 +332,7 @@ def _join_in_line(
     similarity_m: float,
     merge_gap_m: float,
     lines_min: int,
-) -> None:  # pragma: no cover
+) -> None:
     """Join planes in line, largest first: a line before the wall has cut it in Algorithm 1.
 
     Changes `plane` (C,).
@@ -375,7 +369,7 @@ def _are_in_line(
     smaller: int,
     similarity_m: float,
     gap_m: float,
-) -> bool:  # pragma: no cover
+) -> bool:
     """Whether one plane fits two, with a gap of at most `gap_m` metres between them."""
     nx, ny, offset, rms, _ = fit_upright_plane(total[larger] + total[smaller])
     # Stricter than for a candidate, or two faces 2 σ_th apart would become one between them. The
@@ -429,7 +423,7 @@ def _extents(
     last: IntArray,
     plane: IntArray,
     normal: FloatArray,
-) -> FloatArray:  # pragma: no cover
+) -> FloatArray:
     """(K, 2) the least and the largest place along each plane of its candidates' upper samples.
 
     samples: (C, 200) the candidates' lines. first, last, plane: (C,) of the candidates.

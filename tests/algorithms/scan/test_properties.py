@@ -141,7 +141,7 @@ class TestHorizontalPlanes:
             assert len(ceilings) <= 3
             assert all(is_sound(ceiling, 0.03, cloud) for ceiling in ceilings)
             high = np.count_nonzero(cloud[:, 2] > REARRANGEMENT.ceiling_height_min_m)
-            if high < max(30, int(REARRANGEMENT.ceiling_support_min * len(cloud))):
+            if high < max(30, int(0.02 * len(cloud))):
                 assert ceilings == ()
             found[len(ceilings)] += 1
 

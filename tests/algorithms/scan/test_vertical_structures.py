@@ -94,7 +94,7 @@ def test_structures_are_the_unbroken_runs_of_ten_upright_samples_or_more(seed: i
     found = find(points, samples)
     np.testing.assert_array_equal(found.upright, np.abs(found.slope) < SETTINGS.slope_max)
     rho, z = ranges_and_heights(points, samples)
-    step_max = np.maximum(SETTINGS.jump_m, SETTINGS.slope_max * np.abs(np.diff(z, axis=1)))
+    step_max = np.maximum(0.12, SETTINGS.slope_max * np.abs(np.diff(z, axis=1)))
     jumps = np.abs(np.diff(rho, axis=1)) > step_max
     expected = []
     for line in range(len(samples)):
