@@ -34,7 +34,7 @@ from ffmap.blueprints.entities import Fault, LineOutcome
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.app.run.test_blocks import failing
+from tests.app.run.test_scans import failing
 from tests.program import ffmap, ffmap_here
 
 SCANS = 29
