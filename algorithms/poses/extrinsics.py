@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
+from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.patches import Patches
 
@@ -74,34 +74,32 @@ def refine_extrinsics(
     if len(patches.centre) < _RETURNS_MIN or len(points_base) < _RETURNS_MIN:
         return None
     tree = cKDTree(patches.centre)
-    T_correction, clock_s, x = np.eye(4), 0.0, np.zeros(7)
-    moving = _Moving.of(points_base, stamp_ns, trajectory)
-    matched = _match(moving, patches, tree, REACH_M)
-    rms_before_m = _rms(moving.distances(x, *matched))
-    count = int(np.count_nonzero(matched[0]))
+    matched = _Matched.of(points_base, stamp_ns, trajectory, patches, tree, REACH_M)
+    x, count = np.zeros(7), len(matched.points_base)
+    rms_before_m = _rms(matched.distances(x))
     if rms_before_m <= agree_m and count >= _RETURNS_MIN:
         unknown = np.full(7, np.nan)
         return RefinedExtrinsics(T_base_sensor, 0.0, unknown, rms_before_m, rms_before_m, count)
+    T_correction, clock_s = np.eye(4), 0.0
     for reach_m in _REACHES_M:
         points = transforms.apply(T_correction, points_base)
-        moving = _Moving.of(points, stamp_ns + round(1e9 * clock_s), trajectory)
-        matched = _match(moving, patches, tree, reach_m)
-        if np.count_nonzero(matched[0]) < _RETURNS_MIN:
+        times_ns = stamp_ns + round(1e9 * clock_s)
+        matched = _Matched.of(points, times_ns, trajectory, patches, tree, reach_m)
+        if len(matched.points_base) < _RETURNS_MIN:
             return None
         x = least_squares(
-            moving.distances,
+            matched.distances,
             np.zeros(7),
-            moving.jacobian,
-            args=matched,
+            matched.jacobian,
             loss="cauchy",
             f_scale=max(_LOSS_M, 0.2 * reach_m),
         ).x
         T_correction = transforms.from_twist(x[:6]) @ T_correction
         clock_s += float(x[6])
-    residual_m = moving.distances(x, *matched)
+    residual_m = matched.distances(x)
     # Robust: 1.4826 median absolute deviations of a normal distribution are its sigma.
     scatter_m = 1.4826 * float(np.median(np.abs(residual_m)))
-    J = moving.jacobian(x, *matched) / np.sqrt(1.0 + (residual_m[:, None] / _LOSS_M) ** 2)
+    J = matched.jacobian(x) / np.sqrt(1.0 + (residual_m[:, None] / _LOSS_M) ** 2)
     variance = _CLUSTER * scatter_m**2
     # A prior of 1 for each of the seven: what no return constrains stays unknown.
     sigma = np.sqrt(variance * np.diag(np.linalg.inv(J.T @ J + variance * np.eye(7))))
@@ -125,9 +123,11 @@ def surfaces_agreement(
     """RMS distance (m) of the scans' returns to the patches within reach, and their share."""
     if not len(patches.centre) or not scans:
         return float("nan"), 0.0
-    moving = _Moving.of(*_returns(scans, T_base_sensor, returns_max), trajectory)
-    matched = _match(moving, patches, cKDTree(patches.centre), REACH_M)
-    return _rms(moving.distances(np.zeros(7), *matched)), float(matched[0].mean())
+    points_base, stamp_ns = _returns(scans, T_base_sensor, returns_max)
+    tree = cKDTree(patches.centre)
+    matched = _Matched.of(points_base, stamp_ns, trajectory, patches, tree, REACH_M)
+    share = len(matched.points_base) / max(len(points_base), 1)
+    return _rms(matched.distances(np.zeros(7))), share
 
 
 def _rms(distance_m: FloatArray) -> float:
@@ -150,8 +150,8 @@ def _returns(
 
 
 @dataclass(frozen=True)
-class _Moving:
-    """Returns of a moving base: its pose T (n, 4, 4) at the time of each, and dT/dt per second.
+class _Matched:
+    """Returns (m, 3) with a patch: the base's pose T (m, 4, 4) at the time of each, and dT/dt.
 
     The seven parameters x: a twist of the returns in the base, and a clock offset (s), which moves
     the base along its motion.
@@ -160,42 +160,45 @@ class _Moving:
     points_base: FloatArray
     T: FloatArray
     T_per_s: FloatArray
+    centre: FloatArray
+    normal: FloatArray
 
     @classmethod
-    def of(cls, points_base: FloatArray, stamp_ns: IntArray, trajectory: Trajectory) -> "_Moving":
-        before, after = trajectory.at(stamp_ns - _STEP_NS), trajectory.at(stamp_ns + _STEP_NS)
-        return cls(points_base, trajectory.at(stamp_ns), (after - before) / (2e-9 * _STEP_NS))
+    def of(
+        cls,
+        points_base: FloatArray,
+        stamp_ns: IntArray,
+        trajectory: Trajectory,
+        patches: Patches,
+        tree: cKDTree,
+        reach_m: float,
+    ) -> "_Matched":
+        """Match points (n, 3) at times (n,) with the nearest patches within reach."""
+        T = trajectory.at(stamp_ns)
+        places = np.einsum("nij,nj->ni", T[:, :3, :3], points_base) + T[:, :3, 3]
+        distance_m, nearest = tree.query(places, distance_upper_bound=reach_m)
+        near = np.isfinite(distance_m)
+        before = trajectory.at(stamp_ns[near] - _STEP_NS)
+        after = trajectory.at(stamp_ns[near] + _STEP_NS)
+        T_per_s = (after - before) / (2e-9 * _STEP_NS)
+        centre, normal = patches.centre[nearest[near]], patches.normal[nearest[near]]
+        return cls(points_base[near], T[near], T_per_s, centre, normal)
 
-    def places(self, x: FloatArray, rows: BoolArray | slice = slice(None)) -> FloatArray:
-        """(n, 3) the returns in the trajectory's frame."""
-        points = transforms.apply(transforms.from_twist(x[:6]), self.points_base[rows])
-        T = self.T[rows] + x[6] * self.T_per_s[rows]
-        return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3])
+    def distances(self, x: FloatArray) -> FloatArray:
+        """(m,) signed distances (m) to the patches."""
+        points, T = self._moved(x)
+        places = np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
+        return np.asarray(np.einsum("ni,ni->n", places - self.centre, self.normal))
 
-    def distances(
-        self, x: FloatArray, rows: BoolArray, centre: FloatArray, normal: FloatArray
-    ) -> FloatArray:
-        """(m,) signed distances (m) of the matched returns to their patches."""
-        return np.asarray(np.einsum("ni,ni->n", self.places(x, rows) - centre, normal))
-
-    def jacobian(
-        self, x: FloatArray, rows: BoolArray, centre: FloatArray, normal: FloatArray
-    ) -> FloatArray:
+    def jacobian(self, x: FloatArray) -> FloatArray:
         """(m, 7) derivatives of the distances, for a small rotation."""
-        points = transforms.apply(transforms.from_twist(x[:6]), self.points_base[rows])
-        T_per_s = self.T_per_s[rows]
-        T = self.T[rows] + x[6] * T_per_s
-        normal_base = np.einsum("nij,ni->nj", T[:, :3, :3], normal)
-        velocity = np.einsum("nij,nj->ni", T_per_s[:, :3, :3], points) + T_per_s[:, :3, 3]
+        points, T = self._moved(x)
+        normal_base = np.einsum("nij,ni->nj", T[:, :3, :3], self.normal)
         turned = np.cross(points - x[3:6], normal_base)
-        along = np.einsum("ni,ni->n", velocity, normal)
+        velocity = np.einsum("nij,nj->ni", self.T_per_s[:, :3, :3], points)
+        along = np.einsum("ni,ni->n", velocity + self.T_per_s[:, :3, 3], self.normal)
         return np.column_stack([turned, normal_base, along])
 
-
-def _match(
-    moving: _Moving, patches: Patches, tree: cKDTree, reach_m: float
-) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Which returns (n,) have a patch within reach, and those patches' centres, normals (m, 3)."""
-    distance_m, nearest = tree.query(moving.places(np.zeros(7)), distance_upper_bound=reach_m)
-    rows = np.isfinite(distance_m)
-    return rows, patches.centre[nearest[rows]], patches.normal[nearest[rows]]
+    def _moved(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        points = transforms.apply(transforms.from_twist(x[:6]), self.points_base)
+        return points, self.T + x[6] * self.T_per_s

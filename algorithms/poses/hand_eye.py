@@ -91,10 +91,14 @@ def find_extrinsics(
     T = base.at(np.clip(middle_ns, base.stamp_ns[0], base.stamp_ns[-1]))
     turned = points @ rotation.T
 
+    R_map_base, t_map_base = T[:, :3, :3], T[:, None, :3, 3]
+
     def count_hits(voxel_m: float, headings_deg: FloatArray, shifts: FloatArray) -> IntArray:
         grid, origin = _occupied(seen, voxel_m)
         R = Rotation.from_rotvec(np.radians(headings_deg)[:, None] * axis).as_matrix()
-        return np.asarray(_hits(turned, scan, T, R, shifts, grid, origin, voxel_m))
+        rays = np.einsum("nij,kjl,nl->kni", R_map_base[scan], R, turned, optimize=True)
+        origins = shifts @ np.swapaxes(R_map_base, 1, 2) + t_map_base - origin
+        return np.asarray(_hits(rays / voxel_m, scan, origins / voxel_m, grid))
 
     headings = np.arange(0.0, 360.0, _HEADING_DEG)
     shifts = _positions(np.zeros(3), _REACH_M, _VOXEL_M)
@@ -151,38 +155,21 @@ def _occupied(points: FloatArray, voxel_m: float) -> tuple[BoolArray, FloatArray
 
 @numba.njit(cache=True, nogil=True)
 def _hits(
-    points: FloatArray,
-    scan: IntArray,
-    T: FloatArray,
-    headings: FloatArray,
-    shifts: FloatArray,
-    grid: BoolArray,
-    origin: FloatArray,
-    voxel_m: float,
+    rays: FloatArray, scan: IntArray, origins: FloatArray, grid: BoolArray
 ) -> IntArray:  # pragma: no cover
-    """(headings, shifts) number of points in occupied voxels.
+    """(headings, shifts) number of returns in occupied voxels.
 
-    points: (n, 3) in the base, before heading and shift; scan: (n,) index of the pose in T
-    (s, 4, 4). headings: (k, 3, 3). shifts: (m, 3) in the base.
+    rays: (headings, n, 3) from the lidar to its returns, in the map; scan: (n,) the scan of each.
+    origins: (scans, shifts, 3) the lidar's positions from the grid's corner; all in voxels.
     """
-    hits = np.zeros((len(headings), len(shifts)), np.int64)
-    moved = np.empty((len(T), len(shifts), 3))
-    for s in range(len(T)):
-        for m in range(len(shifts)):
-            for a in range(3):
-                shift = T[s, a, 0] * shifts[m, 0] + T[s, a, 1] * shifts[m, 1]
-                moved[s, m, a] = (shift + T[s, a, 2] * shifts[m, 2] + T[s, a, 3]) - origin[a]
-    for k in range(len(headings)):
-        for n in range(len(points)):
-            s = scan[n]
-            base = headings[k] @ points[n]
-            x = T[s, 0, 0] * base[0] + T[s, 0, 1] * base[1] + T[s, 0, 2] * base[2]
-            y = T[s, 1, 0] * base[0] + T[s, 1, 1] * base[1] + T[s, 1, 2] * base[2]
-            z = T[s, 2, 0] * base[0] + T[s, 2, 1] * base[1] + T[s, 2, 2] * base[2]
-            for m in range(len(shifts)):
-                a = int(np.floor((x + moved[s, m, 0]) / voxel_m))
-                b = int(np.floor((y + moved[s, m, 1]) / voxel_m))
-                c = int(np.floor((z + moved[s, m, 2]) / voxel_m))
+    hits = np.zeros((len(rays), origins.shape[1]), np.int64)
+    for k in range(len(rays)):
+        for n in range(len(scan)):
+            x, y, z = rays[k, n]
+            for m in range(origins.shape[1]):
+                a = int(np.floor(x + origins[scan[n], m, 0]))
+                b = int(np.floor(y + origins[scan[n], m, 1]))
+                c = int(np.floor(z + origins[scan[n], m, 2]))
                 inside = 0 <= a < grid.shape[0] and 0 <= b < grid.shape[1]
                 if inside and 0 <= c < grid.shape[2] and grid[a, b, c]:
                     hits[k, m] += 1

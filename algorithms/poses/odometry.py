@@ -30,16 +30,6 @@ _RETRY_NS = 1_000_000_000
 """Time between two searches for a lost pose: a search takes as long as ten scans."""
 _STEP_MIN_NS = 5_000_000
 """Minimum time between two poses: no lidar spins faster; noise would look like motion."""
-_POINTS_PER_VOXEL = 5
-"""Maximum number of points in a voxel of the local map. KISS-ICP."""
-_THRESHOLD_INITIAL_M = 0.5
-"""First correspondence threshold (m), before it adapts. KISS-ICP."""
-_MOTION_MIN_M = 0.05
-"""Minimum deviation (m) that adapts the threshold. KISS-ICP."""
-_ITERATIONS_MAX = 300
-"""Maximum number of ICP iterations for a scan. KISS-ICP."""
-_CONVERGENCE_M_RAD = 3e-3
-"""ICP stops at a smaller step (m and rad). KISS-ICP."""
 _EVIDENCE_EVERY_SCANS = 10
 """The local map and the residual are kept for every n-th scan."""
 
@@ -51,9 +41,7 @@ class OdometrySettings(StepSettings):
         0.25, ge=0.01, le=5, description="Edge (m) of the local map's voxels. KISS-ICP."
     )
     range_min_m: float = Field(
-        0.5,
-        ge=0,
-        description="Minimum range (m): nearer returns are the robot itself. KISS-ICP.",
+        0.5, ge=0, description="Minimum range (m): nearer returns are the robot's own. KISS-ICP."
     )
     range_max_m: float = Field(
         60.0, gt=0, description="Maximum range (m) of the returns that are used. KISS-ICP."
@@ -61,18 +49,14 @@ class OdometrySettings(StepSettings):
     points_max: int = Field(
         4_000,
         ge=100,
-        description="Maximum number of returns; denser clouds are thinned evenly: the refinement "
-        "only starts from this pose. KISS-ICP.",
+        description="Maximum number of returns; denser clouds are thinned evenly: this pose is "
+        "only the refinement's first guess. KISS-ICP.",
     )
     deskew: bool = Field(
-        True,
-        description="Compensate the motion within a sweep if the cloud has times. KISS-ICP.",
+        True, description="Compensate the motion within a sweep if the cloud has times. KISS-ICP."
     )
     threads: int = Field(
-        1,
-        ge=0,
-        le=256,
-        description="KISS-ICP's threads; 1 is reproducible, 0 takes all cores. KISS-ICP.",
+        1, ge=0, le=256, description="Number of threads; 1 is reproducible, 0: all cores. KISS-ICP."
     )
 
 
@@ -242,16 +226,15 @@ def _configuration(settings: OdometrySettings) -> "KISSConfig":
             min_range=settings.range_min_m,
             deskew=settings.deskew,
         ),
-        mapping=config.MappingConfig(
-            voxel_size=settings.voxel_m, max_points_per_voxel=_POINTS_PER_VOXEL
-        ),
+        mapping=config.MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=5),
         registration=config.RegistrationConfig(
-            max_num_iterations=_ITERATIONS_MAX,
-            convergence_criterion=_CONVERGENCE_M_RAD,
+            max_num_iterations=300,
+            convergence_criterion=3e-3,  # m and rad
             max_num_threads=settings.threads,
         ),
         adaptive_threshold=config.AdaptiveThresholdConfig(
-            initial_threshold=_THRESHOLD_INITIAL_M, min_motion_th=_MOTION_MIN_M
+            initial_threshold=0.5,  # m
+            min_motion_th=0.05,  # m
         ),
     )
 
