@@ -92,9 +92,7 @@ def test_the_body_of_a_moving_robot_is_found(body: str) -> None:
     assert np.all((voxels_base > low - 0.15) & (voxels_base < high + 0.15))
 
 
-@pytest.mark.parametrize(
-    ("room", "step_m"), [(ROOM, ACROSS), (ROOM, AHEAD), (CORRIDOR, AHEAD)]
-)
+@pytest.mark.parametrize(("room", "step_m"), [(ROOM, ACROSS), (ROOM, AHEAD), (CORRIDOR, AHEAD)])
 def test_floor_walls_and_furniture_are_no_body(room: Box, step_m: tuple[float, float]) -> None:
     assert find_own_body(clouds(room, step_m)[0], T_BASE_SENSOR) is None
     assert find_own_body(clouds(room, step_m, things=())[0], T_BASE_SENSOR) is None

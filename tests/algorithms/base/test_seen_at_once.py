@@ -3,16 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan, seen_at_once
-from ffmap.algorithms.scan.labelling import label_scan
-from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
-from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
-from tests.corridor import METHOD, cast, share
+from tests.corridor import cast
 
 PARTS, PART_NS = 25, 20_000_000
 T_BASE_SENSOR = transforms.make_transform(translation=[0.0, 0.0, 1.0])
@@ -27,17 +22,16 @@ def drive() -> Trajectory:
     return Trajectory(stamps, np.stack(poses))
 
 
-def moving(noise_m: float) -> tuple[Scan, np.ndarray]:
-    """Rays of all elevations, each part from the pose of its time; and the true labels."""
-    rng, trajectory, parts, truths = np.random.default_rng(3), drive(), [], []
+def moving() -> Scan:
+    """Rays of all elevations, each part from the pose of its time."""
+    rng, trajectory, parts = np.random.default_rng(3), drive(), []
     for k in range(PARTS):
         T = trajectory.at(np.array([k * PART_NS]))[0] @ T_BASE_SENSOR
         emitters_deg = np.sort(rng.uniform(-45, 45, 8))
-        scan, truth = cast(T, None, noise_m, k, emitters_deg=emitters_deg, firings=500)
+        scan, _ = cast(T, None, 0.0, k, emitters_deg=emitters_deg, firings=500)
         parts.append(scan.points_sensor)
-        truths.append(truth)
     points = np.concatenate(parts)
-    swept = Scan(
+    return Scan(
         points_sensor=points,
         ring=np.zeros(len(points), np.uint16),
         ring_count=len(EDGES_DEG) + 1,
@@ -47,7 +41,6 @@ def moving(noise_m: float) -> tuple[Scan, np.ndarray]:
         cloud_index=np.arange(len(points), dtype=np.int32),
         cloud_size=len(points),
     )
-    return swept, np.concatenate(truths)
 
 
 def at_once(scan: Scan) -> Scan:
@@ -61,7 +54,7 @@ def off_walls_m(points_map: np.ndarray) -> np.ndarray:
 
 
 def test_returns_are_at_the_same_places_as_with_their_times() -> None:
-    scan, _ = moving(0.0)
+    scan = moving()
     still = at_once(scan)
     assert still.time_ns is None
     assert still.start_ns == still.end_ns == still.reference_ns == scan.reference_ns
@@ -78,19 +71,3 @@ def test_returns_are_at_the_same_places_as_with_their_times() -> None:
     untimed = replace(scan, time_ns=None, start_ns=scan.reference_ns)
     smeared = place_scan(untimed, drive(), T_BASE_SENSOR)
     assert np.percentile(off_walls_m(smeared.to_map(smeared.points_level)), 75) > 0.05
-
-
-def test_a_compensated_scan_is_smoothed_and_labelled() -> None:
-    scan, truth = moving(0.02)
-    still = at_once(scan)
-    ranges = smooth_ranges(still, SmoothingSettings())
-    placed = place_scan(ranges.of(still), drive(), T_BASE_SENSOR)
-    raw = place_scan(still, drive(), T_BASE_SENSOR)
-    wall = truth == Label.WALL
-    before, after = (
-        np.median(off_walls_m(p.to_map(p.points_level))[wall]) for p in (raw, placed)
-    )
-    assert after < 0.6 * before
-    found = label_scan(still, placed, METHOD, 1, column_pairs=COLUMN_PAIRS)
-    for code in (Label.FLOOR, Label.CEILING, Label.WALL):
-        assert share(found.label, truth, code) == pytest.approx((1.0, 1.0), abs=0.03)

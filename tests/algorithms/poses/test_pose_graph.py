@@ -1,4 +1,4 @@
-"""Loops closed on a drive around a block of rooms, by an odometry that drifts."""
+"""Loops closed on two laps of a circle, by an odometry that drifts."""
 
 import itertools
 
@@ -22,36 +22,19 @@ POINTS = 1200
 Drive = tuple[FloatArray, FloatArray, list[FloatArray]]
 
 
-def walls(generator: np.random.Generator) -> FloatArray:
-    """(n, 3) points of a corridor around a block of 6 by 4 m, with floor, ceiling and pillars."""
-    sides = []
-    for half_m in ([4.5, 3.5], [3.0, 2.0]):
-        for axis in (0, 1):
-            for end in (-1, 1):
-                side = generator.uniform(-1, 1, (12_000, 3)) * [*half_m, 1.3] + [0, 0, 1.3]
-                side[:, axis] = end * half_m[axis]
-                sides.append(side)
-    for x, y in ((-4.4, -1.0), (-1.7, 3.4), (1.2, 2.1), (4.4, 0.7), (2.2, -3.4), (-0.4, -2.1)):
-        turn = generator.uniform(0, 2 * np.pi, 4000)
-        height = generator.uniform(0, 2.6, 4000)
-        sides.append(np.column_stack([x + 0.2 * np.cos(turn), y + 0.2 * np.sin(turn), height]))
-    for height in (0.0, 2.6):
-        flat = generator.uniform(-1, 1, (60_000, 3)) * [4.5, 3.5, 0.0] + [0.0, 0.0, height]
-        sides.append(flat[(np.abs(flat[:, :2]) > [3.0, 2.0]).any(axis=1)])
-    return np.concatenate(sides)
+def surfaces(generator: np.random.Generator) -> FloatArray:
+    """(n, 3) points on 60 squares of 3 m at random places, along the axes."""
+    centre = generator.uniform([-6, -6, 0], [6, 6, 2.6], (60, 1, 3))
+    axes = np.eye(3)[[[1, 2], [0, 2], [0, 1]] * 20]
+    return (centre + generator.uniform(-1.5, 1.5, (60, 2500, 2)) @ axes).reshape(-1, 3)
 
 
 def way(laps: float, scans: int) -> FloatArray:
-    """T_map_sensor (n, 4, 4) along the corridor, facing ahead."""
-    corners = np.array([[-3.75, -2.75], [3.75, -2.75], [3.75, 2.75], [-3.75, 2.75]])
-    lengths = np.array([7.5, 5.5, 7.5, 5.5])
-    ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    at = np.linspace(0, laps * ends[-1], scans) % ends[-1]
-    side = np.searchsorted(ends, at, side="right") - 1
-    ahead = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])[side]
-    xy = corners[side] + ahead * (at - ends[side])[:, None]
-    poses = zip(np.radians(90.0 * side), xy, strict=True)
-    return np.array([transforms.from_yaw(yaw, [x, y, 1.0]) for yaw, (x, y) in poses])
+    """T_map_sensor (n, 4, 4) on a circle, facing ahead."""
+    angles = np.linspace(0, laps * 2 * np.pi, scans)
+    return np.array(
+        [transforms.from_yaw(a + np.pi / 2, [4 * np.cos(a), 4 * np.sin(a), 1]) for a in angles]
+    )
 
 
 def seen(
@@ -89,7 +72,7 @@ def drive() -> Drive:
     """True poses, the odometry's, and the clouds, of two laps."""
     generator = np.random.default_rng(7)
     T_true = way(2.0, 160)
-    return T_true, drifting(T_true, 4.0, 0.01), seen(T_true, walls(generator), generator)
+    return T_true, drifting(T_true, 5.0, 0.01), seen(T_true, surfaces(generator), generator)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +105,7 @@ def test_the_result_does_not_depend_on_the_first_pose(drive: Drive, closed: Pose
     np.testing.assert_array_equal(moved.first, closed.first)
     corrected = moved.corrected(T_elsewhere @ T_odometry)
     expected = T_elsewhere @ closed.corrected(T_odometry)
-    np.testing.assert_allclose(corrected, expected, atol=2e-3)
+    np.testing.assert_allclose(corrected, expected, atol=5e-3)
 
 
 def test_the_result_is_reproducible(drive: Drive) -> None:

@@ -16,8 +16,6 @@ from tests.algorithms.poses.box_drive import (
     T_HORIZONTAL_VERTICAL,
     Given,
     errors,
-    later,
-    off,
     true_pose,
 )
 
@@ -137,23 +135,6 @@ def test_the_first_guess_is_by_the_motion_of_the_refined_poses(
     assert np.linalg.norm(way[:3, 3]) < 0.03
 
 
-def test_noise_of_the_odometry_bends_no_sweep(scans: list[Given]) -> None:
-    generator = np.random.default_rng(4)
-
-    def odometry(number: int, T: FloatArray) -> FloatArray:
-        if not number:
-            return T
-        turn = Rotation.from_rotvec(generator.normal(0, np.radians(0.6), 3))
-        return T @ transforms.make_transform(turn, generator.normal(0, 0.03, 3))
-
-    found = refined(scans, odometry)
-    true = np.array([true_pose(r.stamp_ns) for r in found])
-    wrong = transforms.invert(true) @ np.array([r.T_odom_sensor for r in found])
-    step_m, step_deg = off(transforms.invert(wrong[:-1]) @ wrong[1:])
-    assert np.sqrt(np.mean(step_m**2)) < 0.003
-    assert np.sqrt(np.mean(step_deg**2)) < 0.1
-
-
 @pytest.mark.parametrize("from_scan", [0, 20])
 def test_a_wild_odometry_does_not_affect_the_first_poses(
     scans: list[Given], from_scan: int
@@ -172,34 +153,20 @@ def test_a_wild_odometry_does_not_affect_the_first_poses(
     assert off_deg.max() < 0.5
 
 
-@pytest.mark.parametrize("first_alone", [True, False])
-def test_no_motion_is_extrapolated_over_a_pause(scans: list[Given], first_alone: bool) -> None:
-    """The robot moved on, or rested, while nothing was recorded."""
-    refiner = Refiner(RefinementSettings(), (0.5, 60.0), T_HORIZONTAL_VERTICAL)
-    before, after = ([0], range(30, 40)) if first_alone else (range(20), range(20, 30))
-    pause_ns = 0 if first_alone else 12 * 10**9
-    found, true = [], []
-    for number, by_ns in [*((n, 0) for n in before), *((n, pause_ns) for n in after)]:
-        _, scan, companion = scans[number]
-        beside = None if companion is None else later(companion, by_ns)
-        is_first = by_ns > 0 and len(found) == 20
-        T_end = true_pose(scan.end_ns)
-        refinement = refiner.refine(later(scan, by_ns), T_end, beside, after_gap=is_first)
-        assert refinement is not None
-        assert not refinement.refused
-        found.append(refinement.T_odom_sensor)
-        true.append(true_pose(scan.reference_ns))
-    off_m, off_deg = errors(found, true)
+def test_a_pause_after_the_first_scan_is_bridged_by_the_odometry(scans: list[Given]) -> None:
+    found = refined([scans[0], *scans[30:]])
+    assert not any(r.refused for r in found)
+    off_m, off_deg = errors_of(found)
     assert off_m.max() < 0.04
     assert off_deg.max() < 1.0
 
 
-def rectangles(seed: int, *corners: tuple[list[float], list[float]]) -> Scan:
+def rectangles(seed: int, corners: list[list[list[float]]]) -> Scan:
     """400 returns on a square metre of rectangles, with 1 cm of noise across them."""
     generator = np.random.default_rng(seed)
     parts = []
-    for low, high in corners:
-        low_m, extent_m = np.array(low), np.subtract(high, low)
+    for low_m, high_m in np.array(corners):
+        extent_m = high_m - low_m
         count = int(400 * np.prod(extent_m[extent_m > 0]))
         noise_m = np.where(extent_m > 0, 0.0, generator.normal(0, 0.01, (count, 3)))
         parts.append(low_m + extent_m * generator.uniform(size=(count, 3)) + noise_m)
@@ -209,37 +176,21 @@ def rectangles(seed: int, *corners: tuple[list[float], list[float]]) -> Scan:
     return Scan(points, ring, 1, None, seed * PERIOD_NS, seed * PERIOD_NS, index, len(points))
 
 
-@pytest.mark.parametrize(
-    ("distance_m", "most_m"), [(RefinementSettings().distance_m, 0.01), (0.5, np.inf)]
-)
-def test_the_other_side_of_a_wall_is_not_taken_for_the_known_side(
-    distance_m: float, most_m: float
-) -> None:
+BESIDE = [[[-4, -5, 0], [-4, 0, 2.6]], [[4, -5, 0], [4, 0, 2.6]], [[-4, -5, 0], [4, -5, 2.6]]]
+ROOM = [[[-4, 0.02, 0], [4, 0.02, 2.6]], [[-4, -5, 0], [4, 2, 0]], *BESIDE]
+CORRIDOR = [[[-4, 0.18, 0], [4, 0.18, 2.6]], [[-4, 0.18, 0], [4, 2, 0]], [[-4, 2, 0], [4, 2, 2.6]]]
+SEEN_OF_ROOM = [[[-1.5, -5, 0], [1.5, -5, 2.6]], [[-1.5, -5, 0], [1.5, 2, 0]]]
+
+
+@pytest.mark.parametrize("distance_m", [RefinementSettings().distance_m, 0.5])
+def test_the_other_side_of_a_wall_is_not_taken_for_the_known_side(distance_m: float) -> None:
     """Out of a room through a doorway: the map knows the room's side of a wall of 16 cm."""
     settings = RefinementSettings(distance_m=distance_m, points_max=1_000_000)
     refiner = Refiner(settings, (0.0, 60.0))
-    # The walls, then floor and back wall.
-    room = rectangles(
-        1,
-        ([-4, 0.02, 0], [4, 0.02, 2.6]),
-        ([-4, -5, 0], [-4, 0, 2.6]),
-        ([4, -5, 0], [4, 0, 2.6]),
-        ([-4, -5, 0], [4, 2, 0]),
-        ([-4, -5, 0], [4, -5, 2.6]),
-    )
-    # From the doorway: some of the room, and all of the corridor's wall.
-    doorway = rectangles(
-        2,
-        ([-4, 0.18, 0], [4, 0.18, 2.6]),
-        ([-1.5, -5, 0], [1.5, -5, 2.6]),
-        ([-1.5, -5, 0], [1.5, 2, 0]),
-        ([-4, 0.18, 0], [4, 2, 0]),
-        ([-4, 2, 0], [4, 2, 2.6]),
-    )
-    refiner.refine(room, np.eye(4))
-    found = refiner.refine(doorway, np.eye(4))
+    refiner.refine(rectangles(1, ROOM), np.eye(4))
+    found = refiner.refine(rectangles(2, [*CORRIDOR, *SEEN_OF_ROOM]), np.eye(4))
     assert found is not None
     assert not found.refused
     off_m = float(np.linalg.norm(found.T_odom_sensor[:3, 3]))
-    assert off_m < most_m
-    assert distance_m < 0.2 or off_m > 0.03  # without the limit, the walls are merged
+    # Within half a metre, the sides are merged.
+    assert off_m < 0.01 if distance_m < 0.2 else off_m > 0.03
