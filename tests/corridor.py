@@ -1,4 +1,4 @@
-"""An analytic corridor with a door in one wall, scanned by 32 emitters: known labels, under noise."""
+"""An analytic corridor with a door in one wall: scans with known labels, under noise."""
 
 from dataclasses import dataclass
 
@@ -14,16 +14,17 @@ from tests import synthetic
 
 METHOD = synthetic.settings()
 HEIGHT_M = 2.8
-# The lidar lies on its side: its spin axis z points along the base's x, its x axis down.
+# The lidar is on its side: its spin axis z points along the base's x, its x axis down.
 T_BASE_SENSOR = transforms.make_transform(
-    Rotation.from_matrix(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])), [0.0, 0.0, 0.8]
+    Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]), [0.0, 0.0, 0.8]
 )
 
 
 @dataclass(frozen=True)
 class Hole:
-    """In the wall y = 2: from x0 to x1, from foot to head; depth of the leaf behind the wall, None for an open door.
+    """A hole in the wall y = 2, from x0 to x1 and from foot to head.
 
+    depth: of the closed door behind the wall; None for an open door.
     pane: the share of the rays that a pane 10 cm behind the wall returns.
     """
 
@@ -53,9 +54,9 @@ def cast(
         np.linspace(0, 2 * np.pi, firings, endpoint=False), np.radians(emitters_deg), indexing="ij"
     )
     ring = np.tile(np.arange(len(emitters_deg), dtype=np.uint16), firings)
-    direction_sensor = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
-    ).reshape(-1, 3)
+    flat, up = np.cos(elevation), np.sin(elevation)
+    rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], axis=-1)
+    direction_sensor = rays.reshape(-1, 3)
     origin = T_map_sensor[:3, 3]
     d = direction_sensor @ T_map_sensor[:3, :3].T
     best = np.full(len(d), np.inf)
@@ -79,14 +80,16 @@ def cast(
                 in_hole &= p[:, 2] > hole.foot
                 hit &= ~in_hole
                 t_pane = (at + 0.1 - origin[axis]) / d[:, axis]
-                returned = in_hole & (t_pane < best) & (t > 0) & (generator.random(len(d)) < hole.pane)
+                reflects = generator.random(len(d)) < hole.pane
+                returned = in_hole & (t_pane < best) & (t > 0) & reflects
                 best[returned], label[returned] = t_pane[returned], Label.OUTSIDE
             best[hit], label[hit] = t[hit], code
         if hole is not None:
             t = (2.0 + (4.0 if hole.depth is None else hole.depth) - origin[1]) / d[:, 1]
             p = origin + t[:, None] * d
             behind = (t > 0) & (t < best) & (p[:, 2] > 0) & (p[:, 2] < HEIGHT_M)
-            best[behind], label[behind] = t[behind], Label.CLUTTER if hole.depth is None else Label.DOOR
+            best[behind] = t[behind]
+            label[behind] = Label.CLUTTER if hole.depth is None else Label.DOOR
     keep = np.isfinite(best) & (best < 30)
     range_m = best[keep] + generator.normal(0, noise_m, keep.sum())
     scan = Scan(
@@ -111,7 +114,11 @@ def place(scan: Scan, T_map_base: np.ndarray) -> PlacedScan:
 
 
 def labelled(
-    hole: Hole | None = None, noise_m: float = 0.015, seed: int = 1, x: float = 0.0, ceiling: bool = True
+    hole: Hole | None = None,
+    noise_m: float = 0.015,
+    seed: int = 1,
+    x: float = 0.0,
+    ceiling: bool = True,
 ) -> tuple[Scan, PlacedScan, np.ndarray, ScanLabelling]:
     scan, truth = cast(pose(x) @ T_BASE_SENSOR, hole, noise_m, seed, ceiling)
     placed = place(scan, pose(x))
@@ -121,4 +128,5 @@ def labelled(
 def share(label: np.ndarray, truth: np.ndarray, code: int) -> tuple[float, float]:
     """Precision and recall by points."""
     right = np.count_nonzero((label == code) & (truth == code))
-    return right / max(np.count_nonzero(label == code), 1), right / max(np.count_nonzero(truth == code), 1)
+    found, wanted = np.count_nonzero(label == code), np.count_nonzero(truth == code)
+    return right / max(found, 1), right / max(wanted, 1)

@@ -44,7 +44,7 @@ def doors(*ends: Ends, head_m: float = 2.1, **columns: Any) -> Doors:
 
 
 def traced(walls: Walls, cells: WallCells, clear_m: np.ndarray | float = np.nan) -> TracedFaces:
-    """Faces with what rays found; without a ceiling before them, unless it is told how high that is."""
+    """Faces and the rays that met them; clear_m: height of the ceiling before them, if any."""
     columns = int(cells.first[-1])
     return TracedFaces(walls, cells, np.full(columns, clear_m), np.zeros(columns))
 
@@ -56,4 +56,5 @@ def doors_in(faces: TracedFaces, rules: OpeningRules, windows: Windows = NO_WIND
 
 def window(*ends: tuple[float, float]) -> Windows:
     """A window between 0.9 and 2.2 m, its pane 10 cm behind the face."""
-    return Windows(np.array([ends]), np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2]), np.array([0.1]))
+    normal, bottom_m, top_m = np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2])
+    return Windows(np.array([ends]), normal, bottom_m, top_m, np.array([0.1]))

@@ -1,4 +1,4 @@
-"""A wall's face whose cells return light with seeded noise, and how much patches of another finish do."""
+"""A wall's face whose cells return light, and patches of another finish, with seeded noise."""
 
 import numpy as np
 
@@ -16,11 +16,14 @@ FACE = faces(((0, 0), (LENGTH_M, 0)))
 
 def covered(edges_m: np.ndarray, start_m: float, stop_m: float) -> np.ndarray:
     """(n,) which share of each cell between successive edges lies between two places."""
-    return np.clip(np.minimum(edges_m[1:], stop_m) - np.maximum(edges_m[:-1], start_m), 0, None) / CELL_M
+    shared_m = np.minimum(edges_m[1:], stop_m) - np.maximum(edges_m[:-1], start_m)
+    return np.clip(shared_m, 0, None) / CELL_M
 
 
-def filled(*patches: tuple[Rectangle, float], before_m: float = 0.0, flip: bool = False) -> WallCells:
-    """A face whose patches return so much in place of what the wall does. before_m: how far they stand out of it."""
+def filled(
+    *patches: tuple[Rectangle, float], before_m: float = 0.0, flip: bool = False
+) -> WallCells:
+    """A face with patches of other intensities; before_m: how far the patches are before it."""
     rng = np.random.default_rng(5)
     columns, rows = round(LENGTH_M / CELL_M), round(HEIGHT_M / CELL_M)
     along_m, up_m = np.arange(columns + 1) * CELL_M, np.arange(rows + 1) * CELL_M

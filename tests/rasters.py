@@ -19,7 +19,9 @@ def moved(plan: FloatArray, turn_deg: float, shift: tuple[float, float]) -> Floa
     return plan @ np.array([[c, s], [-s, c]]) + np.array(shift)
 
 
-def raster(plan: FloatArray, cell_m: float = 0.05, noise_m: float = 0.0, furniture: int = 0) -> GridMap:
+def raster(
+    plan: FloatArray, cell_m: float = 0.05, noise_m: float = 0.0, furniture: int = 0
+) -> GridMap:
     generator = np.random.default_rng(0)
     dots = np.concatenate([a + np.linspace(0, 1, 400)[:, None] * (b - a) for a, b in plan])
     dots = dots + generator.normal(0, noise_m, dots.shape) if noise_m else dots

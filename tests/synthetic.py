@@ -1,5 +1,7 @@
 """A furnished room with a door, scanned by a vertical 32-ring lidar: small, exact, seeded."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +23,9 @@ DOOR_X_M = (0.4, 1.3)
 DOOR_HEAD_M = 2.1
 DOOR_DEPTH_M = 0.08
 TABLE_M = np.array([[-1.5, 1.1, 0.0], [0.3, 1.8, 0.75]])
-T_BASE_SENSOR = transforms.make_transform(Rotation.from_euler("y", 90, degrees=True), [0.0, 0.0, 1.0])
+T_BASE_SENSOR = transforms.make_transform(
+    Rotation.from_euler("y", 90, degrees=True), [0.0, 0.0, 1.0]
+)
 
 
 def settings() -> MethodSettings:
@@ -49,40 +53,32 @@ def trajectory(scan_count: int) -> Trajectory:
 
 def level(scan: Scan, trajectory: Trajectory) -> LevelledScan:
     """The smoothed scan in its place."""
-    ranges = smooth_ranges(scan, SmoothingSettings())
+    ranges, settings = smooth_ranges(scan, SmoothingSettings()), RearrangementSettings()
     return place_and_level(
-        scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), RearrangementSettings(), max_deg=2.0
+        scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), settings, max_deg=2.0
     )
 
 
 def scan_of(points_sensor: FloatArray, ring: IntArray, ring_count: int) -> Scan:
-    """A scan of nothing but points and their emitters."""
-    count = len(points_sensor)
+    """A scan of points and their emitters, without times."""
+    points, count = points_sensor.astype(np.float32), len(points_sensor)
     index = np.arange(count, dtype=np.int32)
-    return Scan(points_sensor.astype(np.float32), ring.astype(np.uint16), ring_count, None, 0, 0, index, count)
+    return Scan(points, ring.astype(np.uint16), ring_count, None, 0, 0, index, count)
 
 
 def scan(index: int = 0, firings: int = 2170, seed: int = 0) -> Scan:
-    """The scan `index` on that trajectory: 32 returns a firing, 5 mm of noise, ranges in steps of 2 mm."""
+    """A scan on that trajectory: 32 returns a firing, 5 mm of noise, ranges in steps of 2 mm."""
     # Half a step off, for a ray that is parallel to a wall meets it nowhere.
     azimuth = np.repeat((np.arange(firings) + 0.5) * 2 * np.pi / firings, RINGS)
     ring = np.tile(np.arange(RINGS, dtype=np.uint16), firings)
     elevation = np.radians(np.linspace(-30.67, 10.67, RINGS))[ring]
-    rays_sensor = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
-    )
+    flat, up = np.cos(elevation), np.sin(elevation)
+    rays_sensor = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], axis=1)
     range_m = _cast(np.array([0.05 * index, 0.0, 1.0]), rays_sensor @ T_BASE_SENSOR[:3, :3].T)
     range_m += np.random.default_rng((seed, index)).normal(0, 0.005, len(range_m))
-    return Scan(
-        points_sensor=(rays_sensor * (np.round(range_m / 0.002) * 0.002)[:, None]).astype(np.float32),
-        ring=ring,
-        ring_count=RINGS,
-        time_ns=None,
-        start_ns=stamp_ns(index),
-        stamp_ns=stamp_ns(index),
-        cloud_index=np.arange(len(range_m), dtype=np.int32),
-        cloud_size=len(range_m),
-    )
+    points_sensor = rays_sensor * (np.round(range_m / 0.002) * 0.002)[:, None]
+    stamp = stamp_ns(index)
+    return replace(scan_of(points_sensor, ring, RINGS), start_ns=stamp, stamp_ns=stamp)
 
 
 def _cast(origin: FloatArray, rays: FloatArray) -> FloatArray:
@@ -98,8 +94,10 @@ def _cast(origin: FloatArray, rays: FloatArray) -> FloatArray:
     return np.where((near < far) & (near > 0) & (near < range_m), near, range_m)
 
 
-def drive_in_a_room(height_m: float = 0.7, ceiling_m: float = 2.6, clouds: int = 8) -> list[np.ndarray]:
-    """What a lidar sees that turns and moves through a room of 6 x 8 m: points (n, 3) from it, z up, cloud by cloud."""
+def drive_in_a_room(
+    height_m: float = 0.7, ceiling_m: float = 2.6, clouds: int = 8
+) -> list[np.ndarray]:
+    """Clouds (n, 3), z up, of a lidar that turns and moves through a room of 6 × 8 m."""
     rng = np.random.default_rng(0)
     low, high = np.array([-3.0, -4.0, 0.0]), np.array([3.0, 4.0, ceiling_m])
     seen = []
@@ -108,7 +106,6 @@ def drive_in_a_room(height_m: float = 0.7, ceiling_m: float = 2.6, clouds: int =
         rays = rng.normal(size=(4000, 3))
         with np.errstate(divide="ignore"):
             reach = np.where(rays > 0, (high - origin) / rays, (low - origin) / rays).min(axis=1)
-        yaw = 0.7 * i
-        turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+        turn = transforms.from_yaw(0.7 * i, [0.0, 0.0, 0.0])[:3, :3]
         seen.append((rays * reach[:, None] + rng.normal(0, 0.01, (4000, 3))) @ turn.T)
     return seen

@@ -10,8 +10,10 @@ from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.scan.summary import Features
 
 
-def rays_alone(origin_map: FloatArray, ends_map: FloatArray, label: UInt8Array, scan: int = 0) -> Features:
-    """One scan from a place (3,), of rays to these ends (r, 3) with these labels (r,); no plane was seen in it."""
+def rays_alone(
+    origin_map: FloatArray, ends_map: FloatArray, label: UInt8Array, scan: int = 0
+) -> Features:
+    """One scan from a place (3,), of rays to ends (r, 3) with labels (r,), without wall planes."""
     return Features(
         scan=np.array([scan]),
         origin_map=origin_map[None],
@@ -33,6 +35,7 @@ def rays_alone(origin_map: FloatArray, ends_map: FloatArray, label: UInt8Array, 
 
 def tracing(features: Features) -> TraceOnce:
     def trace(faces: Walls, settings: BuildingSettings, through: Windows | None) -> WallCells:
-        return trace_rays(faces, [features if through is None else rays_through(through, features)], settings)
+        rays = features if through is None else rays_through(through, features)
+        return trace_rays(faces, [rays], settings)
 
     return TraceOnce(trace)

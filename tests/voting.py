@@ -7,7 +7,7 @@ from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 
 
 def vote(points_map: FloatArray, label: UInt8Array, classes: int, voxel_m: float) -> VoxelVotes:
-    """The votes of points (n, 3) in metres with labels (n,); a label of `classes` or more has no vote."""
+    """The votes of points (n, 3) in metres with labels (n,); labels from `classes` on have none."""
     table = VoxelTable(voxel_m, classes)
     table.add(points_map, label)
     return table.votes()
