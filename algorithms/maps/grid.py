@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 from skimage.draw import polygon
+from skimage.measure import block_reduce
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.settings import StepSettings
@@ -129,3 +130,17 @@ def window(chosen: BoolArray, margin: int) -> tuple[slice, slice]:
         return slice(0, chosen.shape[0]), slice(0, chosen.shape[1])
     rows, columns = (slice(max(int(i[0]) - margin, 0), int(i[-1]) + 1 + margin) for i in found)
     return rows, columns
+
+
+def coarsened(grid: GridMap, cells_max: int) -> GridMap:
+    """Crop the map around its free cells and enlarge cells until at most `cells_max` are left.
+
+    A large cell is occupied if any of its cells is, and else free if any is: no wall opens, and no
+    room is lost.
+    """
+    part = grid.cropped(*window(grid.cells == Cell.FREE, 10))
+    factor = int(np.ceil(np.sqrt(part.cells.size / cells_max)))
+    kinds = np.array([Cell.UNKNOWN, Cell.FREE, Cell.OCCUPIED], np.uint8)
+    rank = np.argsort(kinds).astype(np.uint8)[np.searchsorted(np.sort(kinds), part.cells)]
+    highest = block_reduce(rank, factor, np.max)  # type: ignore[no-untyped-call]
+    return GridMap(kinds[highest], part.origin, part.cell_m * factor)

@@ -49,7 +49,7 @@ def find_mouths(
         if face is not None:
             depth = np.linspace(0, 1, int(4 * _FACES_M / cell_m))[:, None, None]
             between: FloatArray = line + depth * (face - line)
-        elif all(_is_near(walls, place) for place in line) and (
+        elif all(near_wall(walls, row, column) for column, row in _cells(line)) and (
             length <= (ratio_in_line if in_line else ratio) * _beside(line, left, cell_m)
         ):
             narrow.append(line)
@@ -169,8 +169,8 @@ def _other_face(line: FloatArray, others: list[FloatArray], near: float) -> Floa
     return np.asarray(both[turned, index]) if away[turned, index] < near else None
 
 
-def _is_near(walls: BoolArray, place: FloatArray) -> bool:
-    column, row = _cells(place)
+def near_wall(walls: BoolArray, row: int, column: int) -> bool:
+    """Whether a cell or one beside it is a wall."""
     return bool(walls[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].any())
 
 

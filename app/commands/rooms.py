@@ -16,10 +16,9 @@ from ffmap.algorithms.maps.area_graph import (
     NO_DOORWAYS,
     AreaGraph,
     AreaGraphSettings,
-    coarsened,
     find_rooms,
 )
-from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.algorithms.maps.grid import Cell, GridMap, coarsened
 from ffmap.algorithms.truth.rooms import RoomFigures, compare_room_images, rooms_of_image
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.map_files import read_image, read_map
