@@ -41,7 +41,7 @@ def _list_near(
     shape: IntArray,
     place: IntArray,
     index: IntArray,
-) -> None:  # pragma: no cover
+) -> None:
     """Write each face to index[place[cell]] and advance place; only advance if index is empty."""
     far_m = reach_m + _CELL_M * np.sqrt(0.5)
     for k in range(len(ends)):
@@ -64,7 +64,7 @@ def _list_near(
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
-def cell_at(index: IntArray, x: float, y: float) -> int:  # pragma: no cover
+def cell_at(index: IntArray, x: float, y: float) -> int:
     """The entry of `index_near` with the start of the list of faces near a point."""
     column = int(np.floor(x / _CELL_M)) - index[0]
     row = int(np.floor(y / _CELL_M)) - index[1]
@@ -85,7 +85,7 @@ def pairs_near(faces: Faces, points: FloatArray, reach_m: float) -> tuple[IntArr
 @numba.njit(cache=True, nogil=True)
 def _pairs_near(
     points: FloatArray, lines: FloatArray, index: IntArray, reach_m: float
-) -> tuple[IntArray, IntArray]:  # pragma: no cover
+) -> tuple[IntArray, IntArray]:
     point, face = np.empty(64, np.int64), np.empty(64, np.int64)
     count = 0
     for i in range(len(points)):
@@ -105,7 +105,7 @@ def _pairs_near(
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
-def sector_of(x: float, y: float) -> int:  # pragma: no cover
+def sector_of(x: float, y: float) -> int:
     """The sector, of `SECTORS`, of a direction (x, y); 0 where both are 0.
 
     Sectors divide the square |x| + |y| = 1 evenly, not the circle: no ray needs an arc tangent.
@@ -118,7 +118,7 @@ def sector_of(x: float, y: float) -> int:  # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def sectors_around(points: FloatArray) -> tuple[int, int]:  # pragma: no cover
+def sectors_around(points: FloatArray) -> tuple[int, int]:
     """First sector and number of sectors that the convex hull of points (n, 2) may reach into.
 
     Seen from (0, 0), it must be less than half a turn wide.
@@ -135,9 +135,7 @@ def sectors_around(points: FloatArray) -> tuple[int, int]:  # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
-def enter(
-    face: int, first: int, sectors: int, faces: IntArray, count: IntArray
-) -> None:  # pragma: no cover
+def enter(face: int, first: int, sectors: int, faces: IntArray, count: IntArray) -> None:
     """Add a face to the lists of its sectors: faces (SECTORS, n), count (SECTORS,)."""
     for k in range(first, first + sectors):
         sector = k % SECTORS

@@ -80,13 +80,13 @@ def lines_of(faces: Faces) -> FloatArray:
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
-def before_line(lines: FloatArray, k: int, x: float, y: float) -> float:  # pragma: no cover
+def before_line(lines: FloatArray, k: int, x: float, y: float) -> float:
     """Signed distance (m) of a point before the k-th face; negative behind it."""
     return float(lines[k, NORMAL_X] * x + lines[k, NORMAL_Y] * y - lines[k, OFFSET])
 
 
 @numba.njit(cache=True, nogil=True, forceinline=True)
-def along_line(lines: FloatArray, k: int, x: float, y: float) -> float:  # pragma: no cover
+def along_line(lines: FloatArray, k: int, x: float, y: float) -> float:
     """Position (m) of a point along the k-th face, from its first end."""
     return float(lines[k, ALONG_X] * x + lines[k, ALONG_Y] * y - lines[k, START])
 
@@ -105,7 +105,7 @@ def crossing(
     y: float,
     origin: FloatArray,
     grazing_sine: float,
-) -> tuple[float, float]:  # pragma: no cover
+) -> tuple[float, float]:
     """Intersect a ray from origin to (x, y) with the k-th face moved back by `behind_m`.
 
     Returns the share of the ray's length, and the position along the face. NaN where the ray does

@@ -213,7 +213,7 @@ def _place(scan: Scan, T_target_sensor: FloatArray) -> FloatArray:
 @numba.njit(cache=True, nogil=True)
 def _interpolate(
     points: FloatArray, time_ns: IntArray, knots_per_ns: float, T: FloatArray
-) -> FloatArray:  # pragma: no cover
+) -> FloatArray:
     placed = np.empty((len(points), 3), np.float32)
     last = len(T) - 1
     step = T[1:] - T[:-1]

@@ -154,9 +154,7 @@ def _occupied(points: FloatArray, voxel_m: float) -> tuple[BoolArray, FloatArray
 
 
 @numba.njit(cache=True, nogil=True)
-def _hits(
-    rays: FloatArray, scan: IntArray, origins: FloatArray, grid: BoolArray
-) -> IntArray:  # pragma: no cover
+def _hits(rays: FloatArray, scan: IntArray, origins: FloatArray, grid: BoolArray) -> IntArray:
     """(headings, shifts) number of returns in occupied voxels.
 
     rays: (headings, n, 3) from the lidar to its returns, in the map; scan: (n,) the scan of each.

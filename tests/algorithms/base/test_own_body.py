@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.own_body import find_own_body, moves
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from tests.box_drive import Box, ranges
 
 CLOUDS = 24
 # On its side, looking to the left and right, 0.7 m above the floor.
@@ -16,37 +17,31 @@ T_BASE_SENSOR = transforms.make_transform(
     Rotation.from_euler("y", 90, degrees=True), [0.3, 0.0, 0.7]
 )
 ACROSS, AHEAD = (0.25, 0.1), (0.25, 0.0)  # metres along x and y from cloud to cloud
-Box = tuple[tuple[float, ...], tuple[float, ...]]
-ROOM: Box = ((-1.0, -2.5, 0.0), (9.0, 3.5, 2.6))
-CORRIDOR: Box = ((-40.0, -0.8, 0.0), (40.0, 0.8, 2.4))
-CUPBOARDS: tuple[Box, ...] = (
-    ((0.0, 0.7, 0.0), (0.8, 1.3, 1.8)),
-    ((3.0, -1.4, 0.0), (4.0, -0.8, 0.8)),
-    ((6.0, 0.6, 0.0), (6.5, 1.5, 2.6)),
+NOTHING = np.zeros((0, 2, 3))
+CUPBOARDS = np.array(
+    [
+        [[0.0, 0.7, 0.0], [0.8, 1.3, 1.8]],
+        [[3.0, -1.4, 0.0], [4.0, -0.8, 0.8]],
+        [[6.0, 0.6, 0.0], [6.5, 1.5, 2.6]],
+    ]
 )
-BODIES: dict[str, Box] = {
-    "plate": ((-0.45, -0.3, 0.05), (0.25, 0.3, 0.45)),
-    "bumper above the floor": ((-0.45, -0.3, 0.05), (0.42, 0.3, 0.2)),
-    "on the floor": ((-0.45, -0.3, 0.0), (0.42, 0.3, 0.3)),
-    "mast of 4 cm": ((0.28, 0.28, 0.3), (0.32, 0.32, 1.6)),
+ROOM = np.array([[-1.0, -2.5, 0.0], [9.0, 3.5, 2.6]])
+CORRIDOR = np.array([[-40.0, -0.8, 0.0], [40.0, 0.8, 2.4]])
+BODIES = {
+    "plate": [[-0.45, -0.3, 0.05], [0.25, 0.3, 0.45]],
+    "bumper above the floor": [[-0.45, -0.3, 0.05], [0.42, 0.3, 0.2]],
+    "on the floor": [[-0.45, -0.3, 0.0], [0.42, 0.3, 0.3]],
+    "mast of 4 cm": [[0.28, 0.28, 0.3], [0.32, 0.32, 1.6]],
 }
-
-
-def hits(origin: FloatArray, rays: FloatArray, box: Box) -> tuple[FloatArray, FloatArray]:
-    """Distances (n,) at which rays enter a box and leave it."""
-    to_faces = np.stack([(np.array(corner) - origin) / rays for corner in box])
-    return to_faces.min(axis=0).max(axis=1), to_faces.max(axis=0).min(axis=1)
 
 
 @lru_cache
 def clouds(
-    room: Box,
-    step_m: tuple[float, float],
-    body: str | None = None,
-    things: tuple[Box, ...] = CUPBOARDS,
+    corridor: bool, step_m: tuple[float, float], body: str | None = None, empty: bool = False
 ) -> tuple[list[FloatArray], list[BoolArray]]:
     """Clouds (n, 3) of 16 emitters with 1 cm of noise, a step apart, and which returns are own."""
     generator = np.random.default_rng(1)
+    room, things = CORRIDOR if corridor else ROOM, NOTHING if empty else CUPBOARDS
     points, own = [], []
     for i in range(CLOUDS):
         azimuth, elevation = np.meshgrid(
@@ -57,17 +52,15 @@ def clouds(
         rays_sensor = np.stack(
             [level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=-1
         ).reshape(-1, 3)
-        rays, origin_base = rays_sensor @ T_BASE_SENSOR[:3, :3].T, T_BASE_SENSOR[:3, 3]
-        origin_map = origin_base + (i * np.array([*step_m, 0.0]) - [0.0, 11.5 * step_m[1], 0.0])
-        range_m = hits(origin_map, rays, room)[1]
-        for thing in things:
-            near, far = hits(origin_map, rays, thing)
-            range_m = np.where((near < far) & (near > 0), np.minimum(near, range_m), range_m)
+        rays = rays_sensor @ T_BASE_SENSOR[:3, :3].T
+        base = np.array([i * step_m[0], (i - 11.5) * step_m[1], 0.0])
+        origin = base + T_BASE_SENSOR[:3, 3]
+        range_m = ranges(origin, rays, Box(*room, things))
         held = np.zeros(len(rays), bool)
         if body is not None:
-            near, far = hits(origin_base, rays, BODIES[body])
-            held = (near < far) & (near > 0) & (near < range_m)
-            range_m = np.where(held, near, range_m)
+            free_m, robot = range_m, base + np.array(BODIES[body])
+            range_m = ranges(origin, rays, Box(*room, np.concatenate([things, robot[None]])))
+            held = range_m < free_m
         range_m = range_m + generator.normal(0, 0.01, len(range_m))
         points.append((rays_sensor * range_m[:, None]).astype(np.float32))
         own.append(held)
@@ -76,7 +69,7 @@ def clouds(
 
 @pytest.mark.parametrize("body", BODIES)
 def test_the_body_of_a_moving_robot_is_found(body: str) -> None:
-    points, own = clouds(ROOM, ACROSS, body)
+    points, own = clouds(False, ACROSS, body)
     assert moves(points)
     found = find_own_body(points, T_BASE_SENSOR)
     assert found is not None
@@ -92,17 +85,15 @@ def test_the_body_of_a_moving_robot_is_found(body: str) -> None:
     assert np.all((voxels_base > low - 0.15) & (voxels_base < high + 0.15))
 
 
-@pytest.mark.parametrize(("room", "step_m"), [(ROOM, ACROSS), (ROOM, AHEAD), (CORRIDOR, AHEAD)])
-def test_floor_walls_and_furniture_are_no_body(room: Box, step_m: tuple[float, float]) -> None:
-    assert find_own_body(clouds(room, step_m)[0], T_BASE_SENSOR) is None
-    assert find_own_body(clouds(room, step_m, things=())[0], T_BASE_SENSOR) is None
-
-
-@pytest.mark.parametrize(
-    ("room", "step_m"), [(ROOM, (0.0, 0.0)), (ROOM, (0.02, 0.01)), (CORRIDOR, AHEAD)]
-)
-def test_at_rest_or_in_a_bare_corridor_nothing_moves(
-    room: Box, step_m: tuple[float, float]
+@pytest.mark.parametrize(("corridor", "step_m"), [(False, ACROSS), (False, AHEAD), (True, AHEAD)])
+@pytest.mark.parametrize("empty", [False, True])
+def test_floor_walls_and_furniture_are_no_body(
+    corridor: bool, step_m: tuple[float, float], empty: bool
 ) -> None:
-    assert not moves(clouds(room, step_m, things=())[0])
-    assert not moves(clouds(ROOM, ACROSS)[0][:5])
+    assert find_own_body(clouds(corridor, step_m, empty=empty)[0], T_BASE_SENSOR) is None
+
+
+def test_at_rest_or_in_a_bare_corridor_nothing_moves() -> None:
+    for corridor, step_m in ((False, (0.0, 0.0)), (False, (0.02, 0.01)), (True, AHEAD)):
+        assert not moves(clouds(corridor, step_m, empty=True)[0])
+    assert not moves(clouds(False, ACROSS)[0][:5])

@@ -1,7 +1,7 @@
 import pytest
 
 from ffmap.algorithms.base.scan import Scan
-from tests.algorithms.poses.box_drive import PERIOD_NS, T_BASE_VERTICAL, sweep
+from tests.box_drive import PERIOD_NS, T_BASE_VERTICAL, sweep
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,7 @@
 """A lidar's extrinsics found by how it and another lidar move, and by what both see."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,6 +10,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.hand_eye import align_rotations, find_extrinsics
+from tests.synthetic import scan_of
 
 UP = np.array([0.0, 0.0, 1.0])
 EXTRINSICS = [
@@ -58,10 +61,9 @@ def scans_along(
     scans = []
     for k in range(0, 41, 2):
         T_sensor_map = transforms.invert(base.T_map_base[k] @ T_base_sensor)
-        points = transforms.apply(T_sensor_map, walls(room, 1500, k, pillar)).astype(np.float32)
-        index, stamp_ns = np.arange(len(points), dtype=np.int32), int(base.stamp_ns[k])
-        ring = np.zeros(len(points), np.uint16)
-        scans.append(Scan(points, ring, 16, None, stamp_ns, stamp_ns, index, len(points)))
+        points = transforms.apply(T_sensor_map, walls(room, 1500, k, pillar))
+        scan = scan_of(points, np.zeros(len(points)), 16)
+        scans.append(replace(scan, start_ns=int(base.stamp_ns[k])))
     return scans
 
 

@@ -11,7 +11,7 @@ from ffmap.algorithms.base.scan import FloatArray, Scan, subset
 from ffmap.algorithms.poses.odometry import OdometrySettings, register_scans, weakness
 from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner
 from tests import synthetic
-from tests.algorithms.poses.box_drive import (
+from tests.box_drive import (
     CORRIDOR,
     T_HORIZONTAL_VERTICAL,
     Given,

@@ -11,13 +11,8 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 from ffmap.algorithms.poses.refinement import Refinement, RefinementSettings, Refiner
-from tests.algorithms.poses.box_drive import (
-    PERIOD_NS,
-    T_HORIZONTAL_VERTICAL,
-    Given,
-    errors,
-    true_pose,
-)
+from tests.box_drive import PERIOD_NS, T_HORIZONTAL_VERTICAL, Given, errors, true_pose
+from tests.synthetic import scan_of
 
 Change = Callable[[int, FloatArray], FloatArray]
 
@@ -170,10 +165,8 @@ def rectangles(seed: int, corners: list[list[list[float]]]) -> Scan:
         count = int(400 * np.prod(extent_m[extent_m > 0]))
         noise_m = np.where(extent_m > 0, 0.0, generator.normal(0, 0.01, (count, 3)))
         parts.append(low_m + extent_m * generator.uniform(size=(count, 3)) + noise_m)
-    points = np.concatenate(parts).astype(np.float32)
-    index = np.arange(len(points), dtype=np.int32)
-    ring = np.zeros(len(points), np.uint16)
-    return Scan(points, ring, 1, None, seed * PERIOD_NS, seed * PERIOD_NS, index, len(points))
+    points = np.concatenate(parts)
+    return replace(scan_of(points, np.zeros(len(points)), 1), start_ns=seed * PERIOD_NS)
 
 
 BESIDE = [[[-4, -5, 0], [-4, 0, 2.6]], [[4, -5, 0], [4, 0, 2.6]], [[-4, -5, 0], [4, -5, 2.6]]]

@@ -6,7 +6,7 @@ import pytest
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.poses.odometry import doubt
-from tests.algorithms.poses.box_drive import (
+from tests.box_drive import (
     PERIOD_NS,
     Box,
     Way,

@@ -104,19 +104,15 @@ def true_pose(stamp_ns: float, way: Way = gentle_curve) -> FloatArray:
     return way(stamp_ns * 1e-9) @ T_BASE_HORIZONTAL
 
 
-def off(T: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Metres and degrees of transforms (n, 4, 4)."""
-    turns = Rotation.from_matrix(T[:, :3, :3])
-    return np.linalg.norm(T[:, :3, 3], axis=1), np.degrees(turns.magnitude())
-
-
 def errors(
     T_found: list[FloatArray], T_true: list[FloatArray], first: int = 0
 ) -> tuple[FloatArray, FloatArray]:
     """Metres and degrees from the true poses, both relative to the first."""
     found, true = np.array(T_found), np.array(T_true)
     T_true_rel = transforms.invert(true[first]) @ true
-    return off(transforms.invert(T_true_rel) @ transforms.invert(found[first]) @ found)
+    off = transforms.invert(T_true_rel) @ transforms.invert(found[first]) @ found
+    turned_rad = Rotation.from_matrix(off[:, :3, :3]).magnitude()
+    return np.linalg.norm(off[:, :3, 3], axis=1), np.degrees(turned_rad)
 
 
 def errors_of(found: list[Registration], way: Way = gentle_curve) -> tuple[FloatArray, FloatArray]:
