@@ -104,7 +104,7 @@ def carry_out(run: Run) -> dict[str, Any]:
             # The user has to see what ended the run.
             with suppress(Exception):
                 if report is not None:
-                    report.finish(aborted, parts_stay=True)
+                    report.finish(aborted)
             raise
         record["files"] = folder.written_files()
         folder.write_json(record)

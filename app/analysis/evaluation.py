@@ -145,7 +145,7 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
 
     own = comparison.maps.get(entities.FURNITURE_FREE)
     layout = run_blueprint.build(
-        max(lidar.line_pairs for lidar in comparison.lidars),
+        True,
         *run_blueprint.view_of(own.grid if own else None),
         evaluated=True,
         scans=run.has_scans,
@@ -162,7 +162,7 @@ def _write_layer(run: FinishedRun, layer: Layer, comparison: Comparison, tally: 
         compared_doors=comparison.compared_doors,
         maps=comparison.maps,
     )
-    write_layer(run.path / run_names.EVALUATION, layer.spool, comparison.parts, layer.recording_id, layout, errors)
+    write_layer(run.path / run_names.EVALUATION, comparison.parts, layer.recording_id, layout, errors)
 
 
 def has_truth(run: FinishedRun) -> bool:

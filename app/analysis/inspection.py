@@ -1,4 +1,4 @@
-"""One scan of a finished run, labelled again with all evidence, and what is wrong with its labels."""
+"""One scan of a finished run, labelled again with all evidence, and what is wrong with it."""
 
 from dataclasses import dataclass
 
@@ -33,31 +33,12 @@ from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_scans
 
 
-@dataclass(frozen=True, eq=False)
-class InspectedScan:
-    """A scan of a run, labelled again by the functions and settings of the run.
-
-    lidar: which of several it is from, in a sentence; None where there is one. labelling: with all evidence. differing: how many
-    returns the run itself had labelled otherwise; None where its labels do not tell. faults: what is wrong with its final labels;
-    None where they do not tell. changes: why the building changed labels, most first; none where no recording tells.
-    """
-
-    index: int
-    lidar: str | None
-    scan: Scan
-    level: LevelledScan
-    labelling: ScanLabelling
-    differing: int | None
-    faults: ScanFaults | None
-    changes: tuple["LabelChange", ...]
-
-
 @dataclass(frozen=True)
 class LabelChange:
-    """Returns of a scan that the building gave one label in place of another for one reason, in words.
+    """Returns of a scan with the same labels before and after the building, and the same reason.
 
-    wrong: how many of them are wrong by the truth; None where it is not known. off_face_m: median distance to the nearest wall's
-    face; None where most have none near.
+    wrong: how many are wrong; None without ground truth.
+    off_face_m: median distance to the nearest wall face; None if most have none near.
     """
 
     before: str
@@ -68,73 +49,98 @@ class LabelChange:
     off_face_m: float | None
 
 
-def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> InspectedScan:
-    """Label one scan of a run as the run did: same bag, poses, settings and random numbers.
+@dataclass(frozen=True, eq=False)
+class InspectedScan:
+    """A scan of a run, labelled again with the settings of the run.
 
-    bag: where the run's bag lies now; None for where it was.
-    Raises InputError where the bag has gone or is another, the scan is out of range, or it was skipped.
+    lidar: a sentence on which of several lidars it is from; None if there is one.
+    differing: number of returns with another `label_scan` in the run; None if unknown.
+    faults: of its final labels; None if unknown.
+    changes: of its labels by the building, most frequent first.
+    """
+
+    level: LevelledScan
+    labelling: ScanLabelling
+    lidar: str | None
+    differing: int | None
+    faults: ScanFaults | None
+    changes: tuple[LabelChange, ...]
+
+
+def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> InspectedScan:
+    """Label one scan of a run again: same bag, poses, settings and random numbers.
+
+    bag: where the run's bag is now; None for where it was.
+    Raises InputError if the bag is missing or another, the scan out of range or skipped.
     """
     bag_path = bag or run.bag_path
     missing = run.path if bag_path is None else bag_path.missing
     if bag_path is None or missing is not None:
-        raise InputError(
-            f"{missing}: the run's bag is not there, and a scan is labelled again from it; say with --bag where it is"
-        )
-    settings = run.settings()
+        raise InputError(f"{missing}: no such bag. Pass the bag of the run with --bag")
+    settings, options = run.settings(), run.options
     inputs = run.find_inputs(bag_path)
     bag_digest = fingerprint(inputs.bag_path)
     if run.bag_digest not in (None, bag_digest):
         raise InputError(
-            f"{inputs.bag_path}: is not the bag that {run.path} was made from; give that one with --bag"
+            f"{bag_path}: is not the bag of {run.path}. Pass the bag of the run with --bag"
         )
     if not inputs.verticals:
-        raise InputError(f"{run.path}: its bag has no lidar that sweeps the walls, so no scan was labelled")
+        raise InputError(f"{run.path}: its bag has no vertical lidar, so no scan was labelled")
     if not 0 <= number < len(inputs.scans):
-        raise InputError(f"--scan {number}: {run.name} has scans 0 to {len(inputs.scans) - 1}")
-    vertical, cloud = inputs.verticals[inputs.scans.lidar[number]], int(inputs.scans.cloud[number])
+        last = len(inputs.scans) - 1
+        raise InputError(f"--scan {number}: {run.name} has scans 0 to {last}")
+    vertical = inputs.verticals[inputs.scans.lidar[number]]
+    cloud, lidar = int(inputs.scans.cloud[number]), vertical.lidar
     with open_bag(bag_path) as opened:
-        _, scan = next(read_scans(opened, vertical.index, cloud, 1, vertical.lidar.decoding))
+        _, scan = next(read_scans(opened, vertical.index, cloud, 1, lidar.decoding))
     if isinstance(scan, SkippedScan):
-        raise InputError(f"--scan {number}: was skipped ({scan.reason}); give another scan")
+        raise _skipped(number, scan.reason)
     scan = within_range(scan, settings.scan.range_max_m)
-    options = run.options
     given = given_poses(options.trajectory, inputs, settings, options.trajectory_frame)
     poses = estimate_poses(inputs, given, settings, lambda: bag_digest)
     margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
     if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
-        raise InputError(f"--scan {number}: was skipped (no pose at its time); give another scan")
+        raise _skipped(number, "no pose at its time")
     try:
-        scan = vertical.lidar.seen(scan, poses.registered)
+        scan = lidar.seen(scan, poses.registered)
         level = place_and_level(
             scan,
             smooth_ranges(scan, settings.smoothing),
             poses.registered,
-            vertical.lidar.T_base_sensor,
+            lidar.T_base_sensor,
             poses.base_height_m,
             poses.floor_slope,
             settings.rearrangement,
             settings.trajectory.level_scan_max_deg,
         )
-        seed, columns = seed_of(settings.seed, cloud), vertical.lidar.column_pairs
-        labelling = label_scan(scan, level.placed, settings.method, seed, level.floor, columns)
+        seed = seed_of(settings.seed, cloud)
+        labelling = label_scan(
+            scan, level.placed, settings.method, seed, level.floor, lidar.column_pairs
+        )
     except Exception as error:
-        reason = SkippedScan.failed(number, scan.stamp_ns, error).reason
-        raise InputError(f"--scan {number}: was skipped ({reason}); give another scan") from error
-    final, differing = _compare_recorded(run, number, scan, labelling.label)
-    wrong = _wrong(run, number, len(scan))
-    faults = None if final is None else _find_faults(final == labelling.label, wrong)
-    wrong_changed = None if final is None or wrong is None else wrong[final != labelling.label]
+        failed = SkippedScan.failed(number, scan.stamp_ns, error)
+        raise _skipped(number, failed.reason) from error
+    final, differing = _recorded_labels(run, number, scan, labelling.label)
+    faults, changes = None, _changes(run, number, None)
+    if final is not None:
+        changed, wrong = final != labelling.label, _wrong(run, number, len(scan))
+        faults = _find_faults(changed, wrong)
+        changes = _changes(run, number, None if wrong is None else wrong[changed])
     several = len(inputs.verticals) > 1
-    lidar = f"Scan {number} is cloud {cloud} of {vertical.lidar.topic}." if several else None
-    return InspectedScan(number, lidar, scan, level, labelling, differing, faults, _changes(run, number, wrong_changed))
+    which = f"Scan {number} is cloud {cloud} of {lidar.topic}." if several else None
+    return InspectedScan(level, labelling, which, differing, faults, changes)
 
 
-def _compare_recorded(
+def _skipped(number: int, reason: str) -> InputError:
+    return InputError(f"--scan {number}: was skipped ({reason}); give another scan")
+
+
+def _recorded_labels(
     run: FinishedRun, number: int, scan: Scan, label: UInt8Array
 ) -> tuple[UInt8Array | None, int | None]:
-    """(n,) the run's final label of each return, and how many it had labelled otherwise by the scan alone.
+    """Return the final label (n,) of each return, and how many had another label by the scan.
 
-    Both None where the run has no labels of this scan.
+    label: (n,) by the scan, now. Both are None if the run has no labels of this scan.
     """
     path = labels_file(run)
     recorded = read_labels(path, number, 1).get(number) if path is not None else None
@@ -148,55 +154,61 @@ def _compare_recorded(
 
 
 def find_worst(run: FinishedRun) -> tuple[int, str]:
-    """The scan with the largest error where the run was evaluated, else with the most final labels unlike its own.
+    """Return the scan with most errors, or without ground truth most changed labels, and why.
 
-    Returns its number and why. Raises InputError where the run's files tell neither.
+    Raises InputError if the run has neither.
     """
     percent: dict[int, float] = {}
+    why = "of its points have a wrong final label (`label`), by ground truth"
     errors = run.file(EVALUATION)
     if errors is not None:
         with readable(errors) as recording:
-            for row in rows(recording.path, f"{entities.SCAN_ERRORS}/**", "scalars"):
+            for row in rows(recording.path, "/metrics/errors/**", "scalars"):
                 percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
-    why = "of its points have a wrong final label (`label`), by the truth"
     if not percent:
+        why = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
         for cloud in read_run_labels(run):
             own = cloud.label_scan != NO_RETURN
             if own.any():
-                percent[cloud.scan] = 100 * float(np.mean((cloud.label != cloud.label_scan)[own]))
-        why = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
+                changed = (cloud.label != cloud.label_scan)[own]
+                percent[cloud.scan] = 100 * float(np.mean(changed))
     if not percent:
-        raise InputError(f"{run.path}: holds no labels of single scans to find the worst by; name one, as in --scan 17")
+        raise InputError(f"{run.path}: has no labels of single scans. Name a scan, as in --scan 17")
     worst = max(percent, key=lambda scan: (percent[scan], -scan))
     return worst, f"{percent[worst]:.1f} % {why}"
 
 
 def agreement(run: FinishedRun, inspected: InspectedScan) -> str:
-    """Whether the labels are the run's own, in a sentence."""
+    """Return a sentence on whether the labels are those of the run."""
     total = len(inspected.labelling.label)
     if inspected.differing is None:
-        return f"Labelled again; {run.name} holds no labels of this scan to compare with."
+        return f"Labelled again; {run.name} has no labels of this scan to compare with."
     if not inspected.differing:
         return f"Labelled again: all {total:,} labels equal label_scan in {LABELS}."
-    made, now = run.part("versions").get("git_revision") or "unknown", git_revision() or "unknown"
+    made, now = run.part("versions").get("git_revision"), git_revision()
     return (
-        f"**Labelled again, {inspected.differing:,} of {total:,} labels are not those of {LABELS}:** what "
-        f"follows tells of this program (revision {now}), not of the run's (revision {made})."
+        f"**Labelled again: {inspected.differing:,} of {total:,} labels differ from {LABELS}.** "
+        f"The explanation is of this program (revision {now or 'unknown'}), "
+        f"not of the run's (revision {made or 'unknown'})."
     )
 
 
-def _find_faults(own: BoolArray, wrong: BoolArray | None) -> ScanFaults:
-    """What is wrong with a scan's final labels. own: (n,) which of them are the scan's own. wrong: see `_wrong`."""
+def _find_faults(changed: BoolArray, wrong: BoolArray | None) -> ScanFaults:
+    """Return the fault of each return. changed: (n,) by the building. wrong: see `_wrong`."""
     if wrong is None:
-        return ScanFaults(np.where(own, Fault.NONE, Fault.RELABELLED).astype(np.uint8), by_truth=False)
-    fault = np.where(own, Fault.OF_THE_SCAN, Fault.OF_THE_BUILDING)
-    return ScanFaults(np.where(wrong, fault, Fault.NONE).astype(np.uint8), by_truth=True)
+        fault = np.where(changed, Fault.RELABELLED, Fault.NONE)
+    else:
+        fault = np.where(changed, Fault.OF_THE_BUILDING, Fault.OF_THE_SCAN)
+        fault = np.where(wrong, fault, Fault.NONE)
+    return ScanFaults(fault.astype(np.uint8), by_truth=wrong is not None)
 
 
-def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> tuple[LabelChange, ...]:
-    """Why the building changed a scan's labels, by the recording; the most frequent first.
+def _changes(
+    run: FinishedRun, number: int, wrong: BoolArray | None
+) -> tuple[LabelChange, ...]:
+    """Read the changes of a scan's labels from the recording, most frequent first.
 
-    wrong: (c,) whether each label that it changed is wrong by the truth; None where that is not known.
+    wrong: (c,) whether each changed label is wrong; None if unknown.
     """
     if run.recording is None:
         return ()
@@ -205,11 +217,12 @@ def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> tuple[La
         values = next((row.values for row in found if row.scan == number), None)
     if values is None:
         return ()
-    codes = np.column_stack([values[name] for name in (entities.POINT_LABEL_SCAN, "class_ids", entities.POINT_REASON)])
+    names = entities.POINT_LABEL_SCAN, "class_ids", entities.POINT_REASON
+    codes = np.column_stack([values[name] for name in names])
     off_face_m = values[entities.POINT_OFF_FACE].astype(np.float64)
-    kinds, kind, counts = np.unique(codes, axis=0, return_inverse=True, return_counts=True)
     if wrong is not None and len(wrong) != len(codes):
-        wrong = None  # the recording was cut or is of other labels
+        wrong = None  # the recording was cut, or is of other labels
+    kinds, kind, counts = np.unique(codes, axis=0, return_inverse=True, return_counts=True)
     changes = []
     for k in np.argsort(-counts, kind="stable"):
         own = kind.ravel() == k
@@ -229,35 +242,39 @@ def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> tuple[La
 
 
 def _wrong(run: FinishedRun, number: int, count: int) -> BoolArray | None:
-    """(count,) whether the evaluation found each return's final label wrong; None where the scan was not evaluated."""
+    """Return whether each final label (count,) is wrong; None if the scan was not evaluated."""
     errors = run.file(EVALUATION)
     if errors is None:
         return None
+    right = VERDICT_COLORS[Verdict.RIGHT]
     with readable(errors) as recording:
         for row in rows(recording.path, entities.POINTS, entities.POINT_VERDICT_COLOR):
             if row.scan == number:
-                wrong = np.asarray(row.values[entities.POINT_VERDICT_COLOR] != VERDICT_COLORS[Verdict.RIGHT])
+                wrong = np.asarray(row.values[entities.POINT_VERDICT_COLOR] != right)
                 return wrong if len(wrong) == count else None
     return None
 
 
 def faults_in_words(faults: ScanFaults | None, lines: PointLines) -> str:
-    """What is marked, by which of the two labels, and where most of it is."""
+    """Return a sentence on what is marked, and where most of it is."""
     if faults is None:
-        return "Nothing is marked: the run holds no final labels (`label`) of this scan; told is of `label_scan`."
-    total = len(faults.fault)
-    count = {fault: int(np.count_nonzero(faults.fault == fault)) for fault in Fault}
+        return "Nothing is marked: the run has no final labels (`label`) of this scan."
+    total = f"{len(faults.fault):,}"
+    of_scan, of_building, changed = (
+        f"{np.count_nonzero(faults.fault == fault):,}"
+        for fault in (Fault.OF_THE_SCAN, Fault.OF_THE_BUILDING, Fault.RELABELLED)
+    )
     if faults.by_truth:
-        wrong = count[Fault.OF_THE_SCAN] + count[Fault.OF_THE_BUILDING]
+        wrong = f"{np.count_nonzero(faults.fault):,}"
         text = (
-            f"**By the truth the final label (`label`) of {wrong:,} of {total:,} returns is wrong.** "
-            f"Marked in cyan are {count[Fault.OF_THE_SCAN]:,} that have it from the scan itself (`label_scan`), and why is told "
-            f"line by line; in pink {count[Fault.OF_THE_BUILDING]:,} to which the building of all scans gave another one."
+            f"**The final label (`label`) of {wrong} of {total} returns is wrong.** Marked cyan: "
+            f"{of_scan} with that label by the scan itself (`label_scan`). Marked pink: "
+            f"{of_building} whose label was changed by the building."
         )
     else:
         text = (
-            f"The truth is not known. **Marked in cyan are {count[Fault.RELABELLED]:,} of {total:,} returns whose final label "
-            "(`label`) is not that of the scan itself (`label_scan`)**, of which is told line by line."
+            f"Ground truth is not known. **Marked cyan: {changed} of {total} returns whose final "
+            "label (`label`) is not the label by the scan itself (`label_scan`).**"
         )
     worst = faults.worst_line(lines)
     if worst is None:

@@ -33,7 +33,7 @@ from ffmap.app.progress import Progress
 from ffmap.app.record.comparison import ComparisonRecorder, log_changed_points, write_rerooted
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.read_back import readable, rows
-from ffmap.app.record.stream import join, write_layout
+from ffmap.app.record.stream import send_part
 from ffmap.app.tables import make_table
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
@@ -173,18 +173,15 @@ def _write_recording(comparison: Comparison, parts: _Parts, out: Path, progress:
         compared = (frozenset(change.compared), frozenset(change.differing)) if change is not None else ()
         shown.append(ComparedRun(run.letter, run.title, scans, own is not None, *compared))
         progress.advance()
-    _write_layout(comparison, shown, parts)
-    _write_findings(comparison, parts)
-    join([parts.spool / "layout.rrd"], [parts.spool / "findings.rrd", *parts.written], out)
-
-
-def _write_layout(comparison: Comparison, shown: Sequence[ComparedRun], parts: _Parts) -> None:
     centre_m, extent_m = view_of(*(grid_of(run.run) for run in comparison.runs))
     letter, scan = _most_changed(comparison.changes, parts.scan_of)
     numbers = parts.scan_of.values()
-    scans = (min(numbers), max(numbers)) if numbers else None
-    layout = compare_blueprint.build(shown, centre_m, extent_m, scan, letter, scans)
-    write_layout(parts.spool / "layout.rrd", parts.recording_id, layout)
+    shown_scans = (min(numbers), max(numbers)) if numbers else None
+    layout = compare_blueprint.build(shown, centre_m, extent_m, scan, letter, shown_scans)
+    with open_log(out, parts.recording_id, layout=layout) as log:
+        _log_findings(comparison, parts, log)
+        for part in parts.written:
+            send_part(log.stream, part)
 
 
 def _most_changed(changes: Sequence[PairChange], scan_of: dict[int, int]) -> tuple[str | None, int | None]:
@@ -205,21 +202,20 @@ def _most_changed(changes: Sequence[PairChange], scan_of: dict[int, int]) -> tup
     return max(found, key=lambda candidate: candidate[0])[1:] if found else (None, None)
 
 
-def _write_findings(comparison: Comparison, parts: _Parts) -> None:
-    with parts.open("findings.rrd") as log:
-        log.stream.send_recording_name(" – ".join(run.run.name for run in comparison.runs))
-        recorder = ComparisonRecorder(log, [c.labels for c in comparison.changes if c.labels is not None])
-        recorder.log_common(report.runs_document(comparison))
-        # Only runs of the same bag have a map frame in common.
-        apart = {change.b.letter for change in comparison.changes if not change.same_bag}
-        for k, run in enumerate(comparison.runs):
-            if run.letter not in apart:
-                color = entities.RUN_COLORS[k % len(entities.RUN_COLORS)]
-                poses = run.run.trajectory
-                path = read_tum(poses).T_map_base[:, :3, 3] if poses is not None else None
-                recorder.log_run(run.letter, color, path, grid_of(run.run))
-        for change in comparison.changes:
-            recorder.log_pair(change.b.letter, change, report.pair_document(change, comparison), parts.scan_of)
+def _log_findings(comparison: Comparison, parts: _Parts, log: Log) -> None:
+    log.stream.send_recording_name(" – ".join(run.run.name for run in comparison.runs))
+    recorder = ComparisonRecorder(log, [c.labels for c in comparison.changes if c.labels is not None])
+    recorder.log_common(report.runs_document(comparison))
+    # Only runs of the same bag have a map frame in common.
+    apart = {change.b.letter for change in comparison.changes if not change.same_bag}
+    for k, run in enumerate(comparison.runs):
+        if run.letter not in apart:
+            color = entities.RUN_COLORS[k % len(entities.RUN_COLORS)]
+            poses = run.run.trajectory
+            path = read_tum(poses).T_map_base[:, :3, 3] if poses is not None else None
+            recorder.log_run(run.letter, color, path, grid_of(run.run))
+    for change in comparison.changes:
+        recorder.log_pair(change.b.letter, change, report.pair_document(change, comparison), parts.scan_of)
 
 
 def _print(comparison: Comparison) -> None:

@@ -1,4 +1,4 @@
-"""The building: its faces, doors, windows, levels, maps, and the fused cloud."""
+"""The building: wall faces, doors, windows, level surfaces, grid maps, and the fused cloud."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -17,75 +17,85 @@ from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.model import CELL_M, Doors
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.app.record.building_reasons import explain_building
+from ffmap.app.record.building_reasons import REFUSALS, building_document
 from ffmap.app.record.log import Log, evidence
-from ffmap.app.record.shapes import at_height, panel_mesh, rounded, strips, ui_radius, upright_frames
+from ffmap.app.record.shapes import (
+    at_height,
+    panel_mesh,
+    rounded,
+    strips,
+    ui_radius,
+    upright_frames,
+)
 from ffmap.app.record.wall_panels import wall_panels
-from ffmap.blueprints import entities
+from ffmap.blueprints.entities import CLASSES, DOOR_COLOR, GRID, MAP_POINTS, WALL_COLOR, Color
 
-MAP_RADIUS_UI = 1.25
+_MAP_RADIUS_UI = 1.25
+_FUSED_COLOR: Color = (190, 190, 190)
+_REFUSED_COLOR: Color = (255, 140, 60)
+_OUTSIDE_COLOR, _CLUTTER_COLOR = CLASSES[Label.OUTSIDE][1], CLASSES[Label.CLUTTER][1]
 
 
-def log_map_block(log: Log, index: int, stamp_ns: int, points_map: FloatArray, label: UInt8Array) -> None:
-    """Points that are new in the map since the last block; the viewer shows all up to the cursor."""
+def log_map_block(
+    log: Log, index: int, stamp_ns: int, points_map: FloatArray, label: UInt8Array
+) -> None:
+    """Log the points that are new in the map since the last block."""
     log.at(stamp_ns, index)
-    _log_split(log, entities.MAP_POINTS, entities.MAP_CEILING, points_map, label, static=False)
+    _log_split(log, MAP_POINTS, "/world/map/ceiling", points_map, label, static=False)
 
 
 def log_fused_walls(log: Log, aligned: AlignedFaces) -> None:
-    """Where each face was before it was laid along the returns of all scans."""
+    """Log each wall face as it was before its alignment to the returns of all scans."""
     fused = aligned.fused
     if not len(fused):
         return
     labels = [
-        f"before it was laid along all returns ({scans} scans): its ends then moved {100 * a:+.1f} and {100 * b:+.1f} cm "
-        f"towards the room{'; a part of a face that was cut where it steps' if cut else ''}"
+        f"before alignment to all returns ({scans} scans): its ends then moved "
+        f"{100 * a:+.1f} and {100 * b:+.1f} cm towards the room"
+        f"{'; part of a face that was cut at a step' if cut else ''}"
         for scans, (a, b), cut in zip(fused.scan_count, aligned.moved_m, aligned.cut, strict=True)
     ]
-    lines = strips(at_height(fused.ends, 0.0), entities.FUSED_WALL_COLOR, 1.0, labels, show_labels=False)
-    log.static(entities.FUSED_WALLS, lines, evidence(moved_m=aligned.moved_m, scan_count=fused.scan_count))
+    lines = strips(at_height(fused.ends, 0.0), _FUSED_COLOR, 1.0, labels, show_labels=False)
+    moves = evidence(moved_m=aligned.moved_m, scan_count=fused.scan_count)
+    log.static("/world/building/fused_walls", lines, moves)
 
 
 def log_building(log: Log, building: BuildingModel) -> None:
-    """The walls, what stands against them, what was refused as a wall, doors, windows and level surfaces."""
+    """Log walls, clutter against them, refused faces, doors, windows, levels, and the reasons."""
     _log_walls(log, building)
     _log_refused(log, building.judged)
     _log_doors(log, building.doors)
     _log_windows(log, building)
     _log_levels(log, building.levels)
-    log.text(entities.BUILDING_REASONS, explain_building(building))
+    log.text("/world/building/reasons", building_document(building))
 
 
 def _log_walls(log: Log, building: BuildingModel) -> None:
     walls, foreground = building.walls, building.foreground
     panels = wall_panels(walls, building.doors, building.windows, building.blinds)
     if len(walls):
-        log.static(
-            entities.WALLS,
-            panel_mesh(panels.ends, panels.bottom_m, panels.top_m, entities.CLASSES[Label.WALL][1]),
-            evidence(walls, "scan_count", "rms_m", wall_of_panel=panels.wall),
-        )
+        mesh = panel_mesh(panels.ends, panels.bottom_m, panels.top_m, WALL_COLOR)
+        of_walls = evidence(walls, "scan_count", "rms_m", wall_of_panel=panels.wall)
+        log.static("/world/building/walls", mesh, of_walls)
     if foreground.covered.any():
-        log.static(
-            entities.AGAINST_WALLS,
-            rr.Points3D(
-                covered_places(walls, foreground).astype(np.float32),
-                radii=CELL_M / 2,
-                colors=entities.CLASSES[Label.CLUTTER][1],
-                labels="stands against the wall",
-                show_labels=False,
-            ),
+        points = rr.Points3D(
+            covered_places(walls, foreground).astype(np.float32),
+            radii=CELL_M / 2,
+            colors=_CLUTTER_COLOR,
+            labels="clutter against the wall",
+            show_labels=False,
         )
+        log.static("/world/building/against_walls", points)
 
 
 def _log_refused(log: Log, judged: JudgedFaces) -> None:
     faces = judged.refused
     if len(faces):
         frames = upright_frames(faces.ends, faces.bottom_m, faces.top_m)
-        labels = [f"no wall: {entities.REFUSALS[verdict]}" for verdict in judged.verdict]
+        labels = [f"no wall: {REFUSALS[verdict]}" for verdict in judged.verdict]
         log.static(
-            entities.REFUSED_WALLS,
-            strips(frames, entities.REFUSED_WALL_COLOR, 1.5, labels, show_labels=False),
+            "/world/building/refused_walls",
+            strips(frames, _REFUSED_COLOR, 1.5, labels, show_labels=False),
             evidence(verdict=judged.verdict, scan_count=faces.scan_count),
         )
 
@@ -93,79 +103,84 @@ def _log_refused(log: Log, judged: JudgedFaces) -> None:
 def _log_doors(log: Log, doors: Doors) -> None:
     if not len(doors):
         return
-    color = entities.CLASSES[Label.DOOR][1]
-    log.static(entities.DOOR_SILLS, strips(at_height(doors.ends, 0.0), color, 3.0))
+    sills = strips(at_height(doors.ends, 0.0), DOOR_COLOR, 3.0)
+    log.static("/world/building/sills", sills)
     labels = [
         f"{DoorState(state).name.lower()} door, {width:.2f} m, {confidence:.0%}"
-        for state, width, confidence in zip(doors.state, lengths_m(doors.ends), doors.confidence, strict=True)
+        for state, width, confidence in zip(
+            doors.state, lengths_m(doors.ends), doors.confidence, strict=True
+        )
     ]
-    columns = ("state", "confidence", "agreement", "coverage", "lintel", "scan_count", "depth_m", "ajar", "crossed")
-    log.static(
-        entities.DOORS,
-        strips(upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m), color, 3.0, labels, show_labels=False),
-        evidence(doors, *columns, "ray_count", "casing_m", "contrast", "outline", "glazed"),
+    frames = upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m)
+    of_doors = evidence(
+        doors,
+        *("state", "confidence", "agreement", "coverage", "lintel", "scan_count", "depth_m"),
+        *("ajar", "crossed", "ray_count", "casing_m", "contrast", "outline", "glazed"),
     )
-    # An open door is its frame; a closed one has a leaf.
+    drawn = strips(frames, DOOR_COLOR, 3.0, labels, show_labels=False)
+    log.static("/world/building/doors", drawn, of_doors)
+    # An open door is drawn as its frame, a closed one with its leaf.
     closed = doors.select(doors.state == DoorState.CLOSED)
     if len(closed):
-        log.static(entities.DOOR_LEAVES, panel_mesh(closed.ends, np.zeros(len(closed)), closed.head_m, color))
+        leaves = panel_mesh(closed.ends, np.zeros(len(closed)), closed.head_m, DOOR_COLOR)
+        log.static("/world/building/leaves", leaves)
 
 
 def _log_windows(log: Log, building: BuildingModel) -> None:
-    windows, leaf_panes, mullions, blinds = building.windows, building.leaf_panes, building.mullions, building.blinds
+    windows, leaf_panes = building.windows, building.leaf_panes
+    mullions, blinds = building.mullions, building.blinds
     glass = windows.append(leaf_panes)
     if len(glass):
         frames = upright_frames(glass.ends, glass.bottom_m, glass.top_m)
-        color = entities.CLASSES[Label.OUTSIDE][1]
         labels = ["window"] * len(windows) + ["pane of an open leaf"] * len(leaf_panes)
-        log.static(entities.WINDOWS, strips(frames, color, 1.5, labels, show_labels=False))
+        panes = strips(frames, _OUTSIDE_COLOR, 1.5, labels, show_labels=False)
+        log.static("/world/building/windows", panes)
     if len(mullions):
-        fronts = panel_mesh(mullions.front, mullions.bottom_m, mullions.top_m, entities.CLASSES[Label.WALL][1])
-        log.static(entities.MULLIONS, fronts, evidence(mullions, "out_m"))
+        fronts = panel_mesh(mullions.front, mullions.bottom_m, mullions.top_m, WALL_COLOR)
+        log.static("/world/building/mullions", fronts, evidence(mullions, "out_m"))
     if len(blinds):
-        hung = moved(blinds.ends, blinds.normal, -blinds.behind_m)
-        log.static(
-            entities.BLINDS,
-            panel_mesh(hung, blinds.bottom_m, blinds.top_m, entities.CLASSES[Label.CLUTTER][1]),
-            evidence(blinds, "behind_m", "contrast"),
-        )
+        ends = moved(blinds.ends, blinds.normal, -blinds.behind_m)
+        hung = panel_mesh(ends, blinds.bottom_m, blinds.top_m, _CLUTTER_COLOR)
+        log.static("/world/building/blinds", hung, evidence(blinds, "behind_m", "contrast"))
 
 
 def _log_levels(log: Log, levels: Sequence[HeightMap]) -> None:
-    """Where ceilings, beams, floors and floors that panes mirror were told that scans took for something else, cell by cell."""
+    """Log the cells of level surfaces that only all scans together show, by kind of surface."""
     for surface, maps in groupby(levels, key=lambda level: level.surface):
         drawn = list(maps)
-        places = np.concatenate([level.places for level in drawn])
         counts = [np.count_nonzero(level.known) for level in drawn]
-        low_m, high_m = (
-            np.concatenate([getattr(level, name)[level.known] for level in drawn]) for name in ("low_m", "high_m")
+        sizes = np.repeat([[level.cell_m / 2] * 2 + [0.005] for level in drawn], counts, axis=0)
+        boxes = rr.Boxes3D(
+            centers=np.concatenate([level.places for level in drawn]).astype(np.float32),
+            half_sizes=sizes,
+            colors=CLASSES[surface.label][1],
+            fill_mode=rr.components.FillMode.Solid,
+            labels=surface.replace("_", " "),
+            show_labels=False,
         )
-        log.static(
-            f"{entities.LEVELS}/{surface}",
-            rr.Boxes3D(
-                centers=places.astype(np.float32),
-                half_sizes=np.repeat([[0.5 * level.cell_m] * 2 + [0.005] for level in drawn], counts, axis=0),
-                colors=entities.CLASSES[surface.label][1],
-                fill_mode=rr.components.FillMode.Solid,
-                labels=surface.replace("_", " "),
-                show_labels=False,
-            ),
-            evidence(low_m=low_m, high_m=high_m),
+        heights = evidence(
+            low_m=np.concatenate([level.low_m[level.known] for level in drawn]),
+            high_m=np.concatenate([level.high_m[level.known] for level in drawn]),
         )
+        log.static(f"/world/building/levels/{surface}", boxes, heights)
 
 
 def log_grid(log: Log, name: str, grid: GridMap) -> None:
-    """A grid map; it holds for the whole run."""
-    # As in nav_msgs/OccupancyGrid, which the colour map is made for: 0 free, 100 occupied, 255 unknown.
-    occupancy = np.select([grid.cells == Cell.OCCUPIED, grid.cells == Cell.FREE], [100, 0], 255).astype(np.uint8)
+    """Log a grid map for the whole recording."""
+    # As in nav_msgs/OccupancyGrid: 0 free, 100 occupied, 255 unknown.
+    states = [grid.cells == Cell.OCCUPIED, grid.cells == Cell.FREE]
+    occupancy = np.select(states, [100, 0], 255).astype(np.uint8)
     rows, columns = occupancy.shape
+    image = rr.components.ImageFormat(
+        width=columns, height=rows, color_model="L", channel_datatype="U8"
+    )
     log.static(
-        f"{entities.GRID}/{name}",
+        f"{GRID}/{name}",
         rr.GridMap(
-            data=np.ascontiguousarray(occupancy[::-1]).tobytes(),  # an image's first row is its uppermost
-            format=rr.components.ImageFormat(width=columns, height=rows, color_model="L", channel_datatype="U8"),
+            data=np.ascontiguousarray(occupancy[::-1]).tobytes(),  # images begin at the top
+            format=image,
             cell_size=grid.cell_m,
-            # Below the trajectory, which it would hide.
+            # Below the trajectory, to not hide it.
             translation=[float(grid.origin[0]), float(grid.origin[1]), -0.05],
             colormap=rr.components.Colormap.RvizMap,
         ),
@@ -173,14 +188,23 @@ def log_grid(log: Log, name: str, grid: GridMap) -> None:
 
 
 def log_cloud(log: Log, points_map: FloatArray, label: UInt8Array) -> None:
-    """The fused semantic cloud, once."""
-    _log_split(log, entities.CLOUD, entities.CLOUD_CEILING, points_map, label, static=True)
+    """Log the fused semantic cloud."""
+    ceiling = "/world/building/ceiling"
+    _log_split(log, "/world/building/cloud", ceiling, points_map, label, static=True)
 
 
-def _log_split(log: Log, path: str, ceiling_path: str, points_map: FloatArray, label: UInt8Array, static: bool) -> None:
-    """The ceiling apart, so that a view can look into the building from above."""
+def _log_split(
+    log: Log,
+    path: str,
+    ceiling_path: str,
+    points_map: FloatArray,
+    label: UInt8Array,
+    static: bool,
+) -> None:
+    """Log the ceiling apart: a view from above hides it."""
     ceiling = label == Label.CEILING
     positions = rounded(points_map)
     for own_path, own in ((path, ~ceiling), (ceiling_path, ceiling)):
-        points = rr.Points3D(positions[own], class_ids=label[own], radii=ui_radius(MAP_RADIUS_UI))
+        radii = ui_radius(_MAP_RADIUS_UI)
+        points = rr.Points3D(positions[own], class_ids=label[own], radii=radii)
         log.stream.log(own_path, points, static=static)

@@ -1,4 +1,4 @@
-"""What both lidars see before and after a calibration."""
+"""The returns of both lidars before and after a calibration."""
 
 import uuid
 from pathlib import Path
@@ -11,32 +11,41 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.app.record.shapes import rounded, ui_radius
 from ffmap.app.record.stream import open_part
 
-_ROOM, _BEFORE, _AFTER = "room", "as_given", "refined"
-_COLORS = {_ROOM: (150, 150, 150), _BEFORE: (235, 80, 60), _AFTER: (70, 200, 110)}
-_TITLES = {_BEFORE: "As given: red, on the horizontal lidar's walls", _AFTER: "As refined: green, on the same walls"}
+_COLORS = {"room": (150, 150, 150), "as_given": (235, 80, 60), "refined": (70, 200, 110)}
+_TITLES = {
+    "as_given": "As given: red, on the walls of the horizontal lidar",
+    "refined": "As refined: green, on the same walls",
+}
 _SLICE_M = 0.25
-"""Half the height of the slice that is seen from above."""
+"""Half the height of the slice in the view from above."""
 
 
-def write_calibration(path: Path, height_m: float, room: FloatArray, before: FloatArray, after: FloatArray) -> None:
-    """A recording of the horizontal lidar's returns, and the vertical one's (n, 3) as given and as refined, side by side.
+def write_calibration(
+    path: Path, height_m: float, room: FloatArray, before: FloatArray, after: FloatArray
+) -> None:
+    """Write returns of the horizontal lidar, and of the vertical one as given and as refined.
 
-    height_m: of a slice that is shown from above, where walls that do not meet are seen at a glance.
+    All are (n, 3). height_m: of the slice in the view from above.
     """
-    seen = {_ROOM: room, _BEFORE: before, _AFTER: after}
-    above = [_views(rrb.Spatial2DView, "above", which, f"From above. {title}") for which, title in _TITLES.items()]
-    whole = [_views(rrb.Spatial3DView, "space", which, f"In space. {title}") for which, title in _TITLES.items()]
-    tabs = rrb.Tabs(rrb.Horizontal(*above, name="From above"), rrb.Horizontal(*whole, name="In space"))
-    with open_part(path, str(uuid.uuid4()), rrb.Blueprint(tabs, collapse_panels=True)) as stream:
-        for which, points in seen.items():
-            radii = ui_radius(1.0 if which == _ROOM else 1.4)
-            color, points = _COLORS[which], rounded(points)
+    above, whole = (
+        [
+            view(origin=f, contents=[f"/{f}/room", f"/{f}/{which}"], name=f"{where}. {title}")
+            for which, title in _TITLES.items()
+        ]
+        for view, f, where in (
+            (rrb.Spatial2DView, "above", "From above"),
+            (rrb.Spatial3DView, "space", "In space"),
+        )
+    )
+    tabs = rrb.Tabs(
+        rrb.Horizontal(*above, name="From above"), rrb.Horizontal(*whole, name="In space")
+    )
+    layout = rrb.Blueprint(tabs, collapse_panels=True)
+    with open_part(path, str(uuid.uuid4()), layout) as stream:
+        for (which, color), points in zip(_COLORS.items(), (room, before, after), strict=True):
+            radii = ui_radius(1.0 if which == "room" else 1.4)
+            points = rounded(points)
             level = points[np.abs(points[:, 2] - height_m) < _SLICE_M, :2] * [1, -1]
-            stream.log(f"above/{which}", rr.Points2D(level, colors=color, radii=radii), static=True)
+            seen_above = rr.Points2D(level, colors=color, radii=radii)
+            stream.log(f"above/{which}", seen_above, static=True)
             stream.log(f"space/{which}", rr.Points3D(points, colors=color, radii=radii), static=True)
-
-
-def _views(
-    kind: type[rrb.Spatial2DView] | type[rrb.Spatial3DView], folder: str, which: str, name: str
-) -> rrb.Spatial2DView | rrb.Spatial3DView:
-    return kind(origin=folder, contents=[f"/{folder}/{_ROOM}", f"/{folder}/{which}"], name=name)

@@ -1,166 +1,173 @@
-"""The difference curves of eq. 2, drawn for every line, and one line drawn large (paper, Fig. 5b)."""
+"""The forward differences of eq. 2: of all lines as an image, of one line as a curve (Fig. 5b).
+
+All are drawn on one sheet, in its own units, with y downwards: the curve above y = 0, and below
+it two images with a column for each point line and a row for each sample.
+"""
+
+from itertools import pairwise
 
 import numpy as np
 import rerun as rr
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
-from ffmap.app.record.log import Log, arrays
-from ffmap.app.record.shapes import rounded, ui_radius, unbroken, words
-from ffmap.blueprints import entities
-from ffmap.blueprints.entities import CurveSheet
+from ffmap.app.record.log import Log, evidence
+from ffmap.app.record.shapes import annotations, strips_2d, words
+from ffmap.blueprints.entities import BOTTOMMOST_COLOR, UPMOST_COLOR, Color
 
-FLOAT16_MAX = 65504.0
-_CURVE_STEP = 2
-"""The small curves are drawn through every second sample, for a recording holds those of every scan."""
-_CURVE_STYLES: tuple[tuple[str, float, entities.Color], ...] = (
-    (entities.CURVE_DIFFERENCES, 0.5, entities.CURVE_COLOR),
-    (entities.CURVE_UPMOST, 1.5, entities.UPMOST_COLOR),
-    (entities.CURVE_BOTTOMMOST, 1.5, entities.BOTTOMMOST_COLOR),
-    (entities.CURVE_EXAMPLE, 1.0, entities.CURVE_COLOR),
-    (entities.CURVE_EXAMPLE_SLOPE, 1.0, entities.EXAMPLE_COLOR),
+_WIDTH, _IMAGE_WIDTH, _GAP = 640.0, 305.0, 30.0
+_MIDDLE, _HALF = -100.0, 64.0
+"""Where the curve is zero, and half the height of its frame."""
+_LIMIT = 4.0
+"""Differences beyond ±4 times the threshold are drawn at ±4 times the threshold."""
+_FRAME_COLOR: Color = (70, 74, 82)
+_THRESHOLD_COLOR: Color = (240, 60, 60)
+_CURVE_COLOR: Color = (110, 150, 225)
+_WHITE: Color = (255, 255, 255)
+
+_BOUNDS = (-4.0, -3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
+"""Between the colours of differences, in units of the threshold."""
+_SCALE: tuple[Color, ...] = (
+    *((90, 30, 140), (105, 60, 200), (85, 105, 235), (115, 165, 250)),
+    *((10, 85, 60), (20, 120, 80), (40, 150, 95), (80, 180, 120)),
+    *((250, 215, 70), (250, 160, 40), (240, 100, 40), (190, 25, 40)),
 )
+"""Green: upright, within the threshold. Blue: nearer with height; yellow to red: farther."""
+_NO_SAMPLE: Color = (30, 32, 36)
+_STRUCTURES: dict[int, tuple[str, Color]] = {
+    0: ("no structure", _NO_SAMPLE),
+    1: ("structure between the others", (105, 110, 120)),
+    2: ("bottom-most structure", BOTTOMMOST_COLOR),
+    3: ("up-most structure: wall candidate", UPMOST_COLOR),
+}
+_FLOAT16_MAX = 65504.0
 
 
-def log_curve_sheet(log: Log, sheet: CurveSheet, slope_max: float) -> None:
-    """Frames, thresholds, titles and styles, which never change."""
-    cells = sheet.cells
-    half = sheet.cell_height / 2
-    large = [[0, 0, sheet.WIDTH, sheet.EXAMPLE_HEIGHT]]
-    small = np.column_stack([cells - [0, half], np.full((len(cells), 2), [sheet.cell_width, sheet.cell_height])])
-    boxes = np.concatenate([large, small])
-    frames = rr.Boxes2D(
-        array=boxes, array_format=rr.Box2DFormat.XYWH, colors=entities.FRAME_COLOR, radii=ui_radius(0.5)
-    )
-    log.static(entities.CURVE_FRAMES, frames)
-    middles = np.concatenate([[[0, sheet.EXAMPLE_HEIGHT / 2]], cells])
-    reach = slope_max / sheet.LIMIT * np.array([sheet.EXAMPLE_HEIGHT / 2] + [half] * len(cells))
-    thresholds = np.empty((2, len(middles), 2, 2), np.float32)
-    thresholds[..., 0, 0], thresholds[..., 1, 0] = middles[:, 0], middles[:, 0] + boxes[:, 2]
-    thresholds[0, ..., 1], thresholds[1, ..., 1] = (middles[:, 1:] + sign * reach[:, None] for sign in (-1, 1))
+def log_color_scale(log: Log, slope_max: float) -> None:
+    """Log what is the same for all scans: colours, frames, thresholds, titles.
+
+    slope_max: the threshold of eq. 2.
+    """
+    bounds = [f"{slope_max * bound:g}" for bound in _BOUNDS]
+    ranges = [f"below {bounds[0]}", *(f"{a} to {b}" for a, b in pairwise(bounds))]
+    names = ["no sample", *ranges, f"above {bounds[-1]}, or equal heights"]
+    colors = (_NO_SAMPLE, *_SCALE)
+    classes = {k: (name, color) for k, (name, color) in enumerate(zip(names, colors, strict=True))}
+    log.static("/scan/differences/of_lines", annotations(classes))
+    log.static("/scan/differences/structures", annotations(_STRUCTURES))
+    x = np.linspace(0.0, _IMAGE_WIDTH, len(_SCALE) + 1)
+    steps = np.stack([x[:-1], x[1:]], axis=1)
+    bar = np.stack([steps, np.full_like(steps, 214.0)], axis=2).astype(np.float32)
     log.static(
-        entities.CURVE_THRESHOLDS,
-        rr.LineStrips2D(
-            thresholds.reshape(-1, 2, 2),
-            colors=entities.THRESHOLD_COLOR,
-            radii=np.tile([ui_radius(1.25)] + [ui_radius(0.5)] * len(cells), 2),
-            draw_order=40.0,
-        ),
+        "/scan/differences/scale",
+        rr.LineStrips2D(bar, colors=_SCALE, radii=5.0, draw_order=20.0),
+    )
+    shown = [_BOUNDS.index(bound) for bound in (-4.0, -1.0, 0.0, 1.0, 4.0)]
+    ticks = [(x[k + 1], 224.0) for k in shown]
+    log.static("/scan/differences/scale/values", words(ticks, [bounds[k] for k in shown]))
+    top, foot = _MIDDLE - _HALF, _MIDDLE + _HALF
+    frame = [[(0, top), (_WIDTH, top), (_WIDTH, foot), (0, foot), (0, top)]]
+    log.static("/scan/differences/frame", strips_2d(frame, _FRAME_COLOR, 0.5, 10.0))
+    levels = [_MIDDLE - sign * _HALF / _LIMIT for sign in (-1, 1)]
+    thresholds = [[(0, y), (_WIDTH, y)] for y in levels]
+    log.static(
+        "/scan/differences/threshold", strips_2d(thresholds, _THRESHOLD_COLOR, 1.25, 40.0)
+    )
+    limits = [(-16.0, levels[1]), (-16.0, levels[0])]
+    names = [f"+{slope_max:g}", f"−{slope_max:g}"]
+    log.static(
+        "/scan/differences/threshold/values", words(limits, names, _THRESHOLD_COLOR)
     )
     titles = {
-        0.0: f"One line, foot left, top right: eq. 2 blue, slope that decides white, threshold ±{slope_max:g} red",
-        sheet.side_top(0): f"Side 0, pairs 0 to {sheet.line_pairs - 1}, each from -{sheet.LIMIT:g} to {sheet.LIMIT:g}; "
-        "up-most green, bottom-most orange",
-        sheet.side_top(1): f"Side 1, pairs 0 to {sheet.line_pairs - 1}",
+        (_WIDTH / 2, top - 26.0): "one line, foot left: eq. 2 blue, deciding slope white",
+        (_IMAGE_WIDTH / 2, -22.0): "all lines, foot below: eq. 2",
+        (_WIDTH - _IMAGE_WIDTH / 2, -22.0): "up-most green, bottom-most orange",
     }
-    tops = list(titles) if sheet.line_pairs else [0.0]
-    places = [(sheet.WIDTH / 2, top - sheet.TITLE_HEIGHT) for top in tops]
-    log.static(entities.CURVE_TEXTS, words(places, [titles[top] for top in tops]))
-    for path, radius_ui, color in _CURVE_STYLES:
-        # The thresholds lie on the curves of eq. 2, the rest on both.
-        order = 30.0 if color == entities.CURVE_COLOR else 50.0
-        log.static(path, rr.LineStrips2D.from_fields(radii=ui_radius(radius_ui), colors=color, draw_order=order))
-    log.static(entities.CURVE_EXAMPLE_TEXTS, rr.Points2D.from_fields(show_labels=True, radii=0.0))
-    log.static(entities.CURVE_EXAMPLE_STRUCTURES, rr.Boxes2D.from_fields(radii=ui_radius(1.5)))
+    log.static("/scan/differences/titles", words(list(titles), list(titles.values())))
+    # The view shows all points, also invisible ones.
+    corners = [(-60.0, top - 50.0), (_WIDTH + 60.0, 262.0)]
+    log.static("/scan/differences/margin", rr.Points2D(corners, radii=0.0))
 
 
-def log_curves(log: Log, labelling: ScanLabelling, line_pairs: int | None = None) -> None:
-    """Eq. 2 for every line: its values, the deciding slope's, and both drawn.
-
-    line_pairs: for how many pairs the sheet has cells, those of the lidar with most; None for as many as the scan has.
-    """
-    structures, samples = labelling.structures, labelling.lines.samples
-    # Not as tensors, whose union type few readers of tables know.
+def log_differences(log: Log, labelling: ScanLabelling) -> None:
+    """Log the differences and the structures of all lines: values, and both as images."""
+    structures, slope_max = labelling.structures, labelling.settings.vertical_structures.slope_max
+    # Not as tensors: few readers of tables know their union type.
+    curves = {name: _float16(getattr(structures, name)) for name in ("difference", "slope")}
     kept = "line", "first", "last", "bottom_m", "top_m", "upmost", "bottommost"
-    curves_of_lines = {"difference": _float16(structures.difference), "slope": _float16(structures.slope)}
-    log.row(entities.STRUCTURES, evidence=arrays(structures, *kept, **curves_of_lines))
-    sheet = CurveSheet(len(samples) // 2 if line_pairs is None else line_pairs)
-    cells = sheet.cells
-    present = np.flatnonzero(samples[:, 0] >= 0)
-    shown = np.arange(0, sheet.SAMPLES, _CURVE_STEP)
-    curves = np.empty((len(present), len(shown), 2), np.float32)
-    curves[..., 0] = cells[present, :1] + sheet.scale * shown
-    scale = sheet.cell_height / 2 / sheet.LIMIT
-    drawn = _clamped(structures.difference[present][:, shown], sheet.LIMIT)
-    curves[..., 1] = np.rint(cells[present, 1:] - scale * drawn)
-    log.row(entities.CURVE_DIFFERENCES, rr.LineStrips2D, strips=curves)
-    for path, chosen, offset in (
-        (entities.CURVE_UPMOST, structures.upmost, sheet.cell_height * 0.36),
-        (entities.CURVE_BOTTOMMOST, structures.bottommost, sheet.cell_height * 0.46),
+    log.now("/scan/structures", evidence(structures, *kept, **curves))
+    present = labelling.lines.samples[:, 0] >= 0
+    columns = _columns(len(present))
+    left = 0.0
+    for path, image in (
+        ("/scan/differences/of_lines", _shaded(structures.difference / slope_max, present)),
+        ("/scan/differences/structures", _roles(structures)),
     ):
-        own = chosen[chosen >= 0]
-        line = structures.line[own]
-        bars = np.empty((len(own), 2, 2), np.float32)
-        bars[:, 0, 0] = cells[line, 0] + sheet.scale * structures.first[own]
-        bars[:, 1, 0] = cells[line, 0] + sheet.scale * structures.last[own]
-        bars[..., 1] = cells[line, 1:] + offset
-        log.row(path, rr.LineStrips2D, strips=bars)
+        scale = rr.Transform3D.from_fields(
+            translation=[left, 0.0, 0.0], scale=[_IMAGE_WIDTH / max(len(present), 1), 1.0, 1.0]
+        )
+        log.now(path, scale, rr.SegmentationImage(image.T[::-1, columns], opacity=1.0))
+        left = _IMAGE_WIDTH + _GAP
 
 
-def log_line(log: Log, points_level: FloatArray, labelling: ScanLabelling, line: int) -> None:
-    """One line drawn large, in space and with its curve as in Fig. 5b, at the time that is set."""
-    structures, sheet = labelling.structures, CurveSheet(len(labelling.lines) // 2)
+def log_line(log: Log, labelling: ScanLabelling, line: int) -> None:
+    """Log the curve of one line (Fig. 5b), its structures, and where it is in the images."""
+    structures, slope_max = labelling.structures, labelling.settings.vertical_structures.slope_max
     present = labelling.lines.samples[line, 0] >= 0
-    strips, _ = unbroken(rounded(points_level[labelling.lines.samples[[line] if present else []]]))
-    log.row(entities.EXAMPLE_LINE, rr.LineStrips3D, strips=strips)
-    middle, scale = sheet.EXAMPLE_HEIGHT / 2, sheet.EXAMPLE_HEIGHT / 2 / sheet.LIMIT
-    step = sheet.WIDTH / (sheet.SAMPLES - 1)
-    x = np.arange(sheet.SAMPLES) * step
-    for path, values in (
-        (entities.CURVE_EXAMPLE, structures.difference),
-        (entities.CURVE_EXAMPLE_SLOPE, structures.slope),
+    step = _WIDTH / (structures.difference.shape[1] - 1)
+    for path, values, color, order in (
+        ("/scan/differences/curve", structures.difference, _CURVE_COLOR, 30.0),
+        ("/scan/differences/curve/slope", structures.slope, _WHITE, 50.0),
     ):
-        y = middle - scale * _clamped(values[line], sheet.LIMIT)
-        curve = np.stack([x, y], axis=1, dtype=np.float32)[None]
-        log.row(path, rr.LineStrips2D, strips=curve if present else curve[:0])
-    _log_structures_of(log, structures, line, step)
-
-
-def _log_structures_of(log: Log, structures: VerticalStructures, line: int, step: float) -> None:
-    """The runs of a line that eq. 2 found, as boxes behind its curve; the up-most and the bottom-most named."""
-    sheet = CurveSheet
+        # Equal heights, where eq. 2 has no value, are as steep as possible.
+        drawn = np.clip(np.nan_to_num(values[line] / slope_max, nan=_LIMIT), -_LIMIT, _LIMIT)
+        y = _MIDDLE - _HALF / _LIMIT * drawn
+        curve = np.stack([step * np.arange(len(y)), y], axis=1)
+        log.now(path, strips_2d([curve] if present else [], color, 1.0, order))
     own = np.flatnonzero(structures.line == line)
-    half_sizes = np.full((len(own), 2), sheet.EXAMPLE_HEIGHT / 2, np.float32)
-    half_sizes[:, 0] = (structures.last[own] - structures.first[own]) * step / 2
-    centers = half_sizes.copy()
-    centers[:, 0] += structures.first[own] * step
+    first, last = structures.first[own], structures.last[own]
+    half = np.stack([(last - first) * step / 2, np.full(len(own), _HALF)], axis=1)
+    centers = np.stack([(last + first) * step / 2, np.full(len(own), _MIDDLE)], axis=1)
     upmost, bottommost = structures.upmost[line], structures.bottommost[line]
-    colors = np.full((len(own), 3), entities.FRAME_COLOR, np.uint8)
-    colors[own == bottommost] = entities.BOTTOMMOST_COLOR
-    colors[own == upmost] = entities.UPMOST_COLOR
-    evidence = {"line": np.array([line]), "first": structures.first[own], "last": structures.last[own]}
-    log.row(
-        entities.CURVE_EXAMPLE_STRUCTURES,
-        rr.Boxes2D,
-        evidence,
-        half_sizes=half_sizes,
-        centers=centers,
-        colors=colors,
+    colors = np.full((len(own), 3), _FRAME_COLOR, np.uint8)
+    colors[own == bottommost] = BOTTOMMOST_COLOR
+    colors[own == upmost] = UPMOST_COLOR
+    log.now(
+        "/scan/differences/curve/structures",
+        rr.Boxes2D(half_sizes=half, centers=centers, colors=colors, radii=rr.Radius.ui_points(1.5)),
+        evidence(line=np.array([line]), first=first, last=last),
     )
-    # At heights of their own, and away from the ends: else they would hide one another, or be cut.
-    named = [(upmost, "up-most: wall candidate", entities.UPMOST_COLOR, 0.58)] if upmost >= 0 else []
-    if bottommost != upmost:
-        named.append((bottommost, "bottom-most", entities.BOTTOMMOST_COLOR, 0.8))
+    width = _IMAGE_WIDTH / len(labelling.lines)
+    x = width * (0.5 + int(np.flatnonzero(_columns(len(labelling.lines)) == line)[0]))
+    marks = [[(x + left, 201.0), (x + left, 206.0)] for left in (0.0, _IMAGE_WIDTH + _GAP)]
+    log.now("/scan/differences/curve/column", strips_2d(marks, _WHITE, 1.5, 60.0))
+    name = f"line {line} (pair {line // 2}, side {line % 2})"
+    log.now("/scan/differences/curve/name", words([(70.0, _MIDDLE + _HALF - 26.0)], [name]))
 
-    def middle(structure: int) -> float:
-        x = (structures.first[structure] + structures.last[structure]) / 2 * step
-        return float(np.clip(x, 0.15 * sheet.WIDTH, 0.85 * sheet.WIDTH))
 
-    places = [(middle(s), height * sheet.EXAMPLE_HEIGHT) for s, _, _, height in named]
-    log.row(
-        entities.CURVE_EXAMPLE_TEXTS,
-        rr.Points2D,
-        positions=np.array(places, np.float32).reshape(-1, 2),
-        labels=[name for _, name, _, _ in named],
-        colors=np.array([color for _, _, color, _ in named], np.uint8).reshape(-1, 3),
-    )
+def _columns(lines: int) -> np.ndarray:
+    """Return the line of each column: those of side 0, then those of side 1."""
+    return np.concatenate([np.arange(0, lines, 2), np.arange(1, lines, 2)])
+
+
+def _shaded(difference: FloatArray, present: BoolArray) -> UInt8Array:
+    """Return the class of each difference (L, n), in units of the threshold."""
+    steep = np.nan_to_num(difference, nan=np.inf)
+    shade = 1 + np.searchsorted(_BOUNDS, steep)
+    return np.where(present[:, None], shade, 0).astype(np.uint8)
+
+
+def _roles(structures: VerticalStructures) -> UInt8Array:
+    """Return the class of each sample (L, n), see `_STRUCTURES`."""
+    roles = np.zeros(structures.difference.shape, np.uint8)
+    for s, (line, first, last) in enumerate(
+        zip(structures.line, structures.first, structures.last, strict=True)
+    ):
+        role = 3 if s == structures.upmost[line] else 2 if s == structures.bottommost[line] else 1
+        roles[line, first : last + 1] = role
+    return roles
 
 
 def _float16(values: FloatArray) -> FloatArray:
-    return np.clip(values, -FLOAT16_MAX, FLOAT16_MAX).astype(np.float16)
-
-
-def _clamped(values: FloatArray, limit: float) -> FloatArray:
-    """For drawing: equal heights, where eq. 2 has no value, are as steep as it gets."""
-    return np.where(np.isnan(values), np.float32(limit), np.clip(values, -limit, limit))
+    return np.clip(values, -_FLOAT16_MAX, _FLOAT16_MAX).astype(np.float16)

@@ -22,9 +22,9 @@ from ffmap.algorithms.truth.labels import verdicts
 from ffmap.algorithms.truth.maps import ComparedMap, ComparedMaps, false_and_missed
 from ffmap.algorithms.truth.tally import CUBE_M, Tally, majorities
 from ffmap.app.folder.figures import queried
-from ffmap.app.record.log import Log, open_log
+from ffmap.app.record.log import Log, evidence, open_log
 from ffmap.app.record.shapes import at_height, strips, ui_radius, upright_frames
-from ffmap.app.record.stream import join, send_properties, write_layout
+from ffmap.app.record.stream import send_part, send_properties
 from ffmap.app.record.whole_run import log_legend
 from ffmap.blueprints import entities
 
@@ -43,10 +43,11 @@ def log_scan_errors(log: Log, index: int, stamp_ns: int, truth: UInt8Array, labe
     """The points of one scan, in the order of its recorded ones; and the share of each kind of error."""
     verdict = verdicts(truth, label)
     log.at(stamp_ns, index)
-    log.row(entities.POINTS, evidence={entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]})
+    verdicts_of_points = {entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]}
+    log.now(entities.POINTS, evidence(**verdicts_of_points))
     percent = 100.0 * np.bincount(verdict, minlength=len(Verdict)) / max(len(verdict), 1)
     for error in _ERRORS:
-        log.row(entities.scan_error(error), rr.Scalars, scalars=percent[[error]])
+        log.now(entities.scan_error(error), rr.Scalars(percent[error]))
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,10 @@ class MapErrors:
 
 
 def write_layer(
-    out: Path, spool: Path, parts: Sequence[Path], recording_id: str, blueprint: rrb.Blueprint, errors: MapErrors
+    out: Path, parts: Sequence[Path], recording_id: str, blueprint: rrb.Blueprint, errors: MapErrors
 ) -> None:
-    """Join the scans' parts with what is wrong on the map. parts: with the scans' errors, in `spool`."""
-    layout, own = spool / "layout.rrd", spool / "map.rrd"
-    # The recording brings a layout of its own, which may be there first.
-    write_layout(layout, recording_id, blueprint)
-    with open_log(own, recording_id) as log:
+    """Join the scans' parts with what is wrong on the map. parts: with the scans' errors."""
+    with open_log(out, recording_id, layout=blueprint) as log:
         send_properties(log.stream, "metrics", queried(errors.metrics))
         log.text(entities.FIGURES, errors.text)
         log_legend(log, entities.ERROR_LEGEND, entities.ERROR_LEGEND_ENTRIES)
@@ -85,7 +83,8 @@ def write_layer(
         _log_cubes(log, errors.tally)
         for name, compared in errors.maps.items():
             log_overlay(log, name, compared)
-    join([layout], [own, *parts], out)
+        for part in parts:
+            send_part(log.stream, part)
 
 
 def _log_doors(log: Log, doors: TrueDoors, compared: tuple[FoundDoors, DoorFigures] | None) -> None:

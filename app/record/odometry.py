@@ -1,4 +1,4 @@
-"""The way of the robot, and how well each horizontal scan was registered."""
+"""The trajectory of the robot, and the registration of each horizontal scan."""
 
 from collections.abc import Sequence
 
@@ -10,14 +10,32 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.poses.odometry import Registration
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.record.log import Log, times
+from ffmap.app.record.shapes import rounded, strips, transform_columns, ui_radius
 from ffmap.app.setup.outputs import Detail
-from ffmap.blueprints import entities
+from ffmap.blueprints.entities import KEYPOINT_COLOR, LOOP_COLOR, WEAK_COLOR, Color
 
+_ROOT = "/metrics/registration"
 _QUALITY = (
-    *("threshold_m", "correction_m", "residual_m", "inlier_share", "refined_m", "refined_inlier_share"),
-    *("weakest_share", "milliseconds"),
+    *("threshold_m", "correction_m", "residual_m", "inlier_share", "refined_m"),
+    *("refined_inlier_share", "weakest_share", "milliseconds"),
 )
-"""Figures of a registration that are drawn as curves."""
+"""Fields of a registration that are logged as curves."""
+_TRAJECTORY_COLOR: Color = (0, 214, 255)
+_LOCAL_MAP_COLOR: Color = (96, 110, 130)
+_LOOP_DOUBTED_COLOR: Color = (255, 110, 60)
+_ODOMETRY_COLOR: Color = (200, 90, 90)
+
+
+def log_odometry_styles(log: Log) -> None:
+    """Log colours and radii."""
+    for path, color, radius_ui in (
+        ("/world/odometry/sensor/keypoints", KEYPOINT_COLOR, 2.0),
+        ("/world/odometry/local_map", _LOCAL_MAP_COLOR, 1.0),
+        ("/world/odometry/weak", WEAK_COLOR, 6.0),
+    ):
+        log.static(path, rr.Points3D.from_fields(colors=color, radii=ui_radius(radius_ui)))
+    line = rr.LineStrips3D.from_fields(colors=_TRAJECTORY_COLOR, radii=ui_radius(2.0))
+    log.static("/world/trajectory", line)
 
 
 def log_trajectory(
@@ -27,72 +45,88 @@ def log_trajectory(
     index: IntArray | None,
     previous_T_map_base: FloatArray | None = None,
 ) -> None:
-    """The way from each pose to the next; `previous_T_map_base` carries on an earlier call.
+    """Log the way from each pose (n, 4, 4) to the next.
 
-    stamp_ns: (n,); T_map_base: (n, 4, 4); index: (n,) of the vertical scans, None where the poses are of horizontal
-    ones, which lie on `stamp` alone.
+    index: (n,) of the vertical scans; None if the poses are of horizontal ones.
+    previous_T_map_base: last pose of an earlier call.
     """
     xyz = T_map_base[:, :3, 3]
     before = xyz[:1] if previous_T_map_base is None else previous_T_map_base[None, :3, 3]
     steps = np.stack([np.concatenate([before, xyz[:-1]]), xyz], axis=1).astype(np.float32)
-    log.stream.send_columns(entities.TRAJECTORY, times(stamp_ns, index), rr.LineStrips3D.columns(strips=steps))
+    columns = rr.LineStrips3D.columns(strips=steps)
+    log.stream.send_columns("/world/trajectory", times(stamp_ns, index), columns)
 
 
 def log_odometry_frame(log: Log, stamp_ns: IntArray, T_map_odom: FloatArray) -> None:
-    """Where the odometry's frame lies in the levelled map; it moves as the loops that were closed correct its drift.
+    """Log the odometry frame (n, 4, 4) in the map; closed loops move it."""
+    log.columns("/world/odometry", stamp_ns, transform_columns(T_map_odom))
 
-    stamp_ns: (n,); T_map_odom: (n, 4, 4).
+
+def log_pose_graph(
+    log: Log, graph: PoseGraph, T_map_odom: FloatArray, stamp_ns: IntArray, moved_m: FloatArray
+) -> None:
+    """Log submaps, loops, the odometry's trajectory, and the correction of each pose.
+
+    T_map_odom: level of the odometry's map. stamp_ns, moved_m: (n,) of all horizontal scans.
     """
-    log.transforms(entities.ODOMETRY, stamp_ns, T_map_odom)
-
-
-def log_pose_graph(log: Log, graph: PoseGraph, T_map_odom: FloatArray, stamp_ns: IntArray, moved_m: FloatArray) -> None:
-    """The submaps, the loops between them, the way as the odometry had it, and how far each pose was moved.
-
-    T_map_odom: (4, 4) before any loop. stamp_ns, moved_m: (n,) of all scans.
-    """
-    T_before = transforms.invert(graph.T_correction) @ graph.T_odom_sensor
-    at, before = (transforms.apply(T_map_odom, T[:, :3, 3]).astype(np.float32) for T in (graph.T_odom_sensor, T_before))
+    at = transforms.apply(T_map_odom, graph.T_odom_sensor[:, :3, 3]).astype(np.float32)
+    uncorrected = transforms.invert(graph.T_correction) @ graph.T_odom_sensor
+    before = transforms.apply(T_map_odom, uncorrected[:, :3, 3]).astype(np.float32)
     loops = np.flatnonzero(graph.is_loop & (graph.weight > 0))
-    strips = np.stack([at[graph.first[loops]], at[graph.second[loops]]], axis=1)
-    colors = [entities.LOOP_COLOR if graph.weight[e] >= 0.5 else entities.LOOP_DOUBTED_COLOR for e in loops]
+    ends = np.stack([at[graph.first[loops]], at[graph.second[loops]]], axis=1)
+    colors = [LOOP_COLOR if graph.weight[e] >= 0.5 else _LOOP_DOUBTED_COLOR for e in loops]
     labels = [
-        f"{graph.inlier_share[e]:.0%} fits, {graph.offset[e]:.1f} standard deviations off, weight {graph.weight[e]:.2f}"
+        f"{graph.inlier_share[e]:.0%} fits, {graph.offset[e]:.1f} standard deviations off, "
+        f"weight {graph.weight[e]:.2f}"
         for e in loops
     ]
-    log.static(entities.SUBMAPS, rr.Points3D(at))
-    log.static(entities.LOOPS, rr.LineStrips3D(strips, colors=colors, labels=labels, show_labels=False))
-    log.static(entities.WAY_OF_ODOMETRY, rr.LineStrips3D([before] if len(before) > 1 else []))
-    log.columns(f"{entities.REGISTRATION}/loops_moved_m", stamp_ns, rr.Scalars.columns(scalars=moved_m))
+    submaps = rr.Points3D(at, colors=LOOP_COLOR, radii=ui_radius(4.0))
+    log.static("/world/pose_graph/submaps", submaps)
+    log.static("/world/pose_graph/loops", strips(ends, colors, 0.75, labels, show_labels=False))
+    way = [before] if len(before) > 1 else []
+    log.static("/world/pose_graph/way_of_odometry", strips(way, _ODOMETRY_COLOR, 1.5))
+    log.columns(f"{_ROOT}/loops_moved_m", stamp_ns, rr.Scalars.columns(scalars=moved_m))
 
 
-def log_registrations(log: Log, registrations: Sequence[Registration], weak: Sequence[str | None]) -> None:
-    """What was registered of horizontal scans, and how well it fits.
+def log_registrations(
+    log: Log, registrations: Sequence[Registration], weak: Sequence[str | None]
+) -> None:
+    """Log registrations of horizontal scans. weak: why each is unreliable, or None.
 
-    Many at once: logged one by one they cost the run's own process more than all else that it logs.
-
-    weak: for each in words why it is not to be relied on, or None.
+    Many in one call: one by one they would cost the main process more than all else.
     """
     if not registrations:
         return
     stamp_ns = np.array([r.stamp_ns for r in registrations])
-    log.transforms(entities.ODOMETRY_SENSOR, stamp_ns, np.array([r.T_odom_sensor for r in registrations]))
+    T_odom_sensor = np.array([r.T_odom_sensor for r in registrations])
+    log.columns("/world/odometry/sensor", stamp_ns, transform_columns(T_odom_sensor))
     if log.detail is not Detail.MAP:
-        log.clouds(entities.KEYPOINTS, stamp_ns, [r.keypoints_sensor for r in registrations])
+        keypoints = [r.keypoints_sensor for r in registrations]
+        _log_clouds(log, "/world/odometry/sensor/keypoints", stamp_ns, keypoints)
         mapped = [r for r in registrations if len(r.local_map_odom)]
-        log.clouds(entities.LOCAL_MAP, np.array([r.stamp_ns for r in mapped]), [r.local_map_odom for r in mapped])
+        mapped_ns = np.array([r.stamp_ns for r in mapped])
+        local_maps = [r.local_map_odom for r in mapped]
+        _log_clouds(log, "/world/odometry/local_map", mapped_ns, local_maps)
     alarms = [(r, why) for r, why in zip(registrations, weak, strict=True) if why is not None]
     if alarms:
         alarm_ns = np.array([r.stamp_ns for r, _ in alarms])
         places = np.array([r.T_odom_sensor[:3, 3] for r, _ in alarms], np.float32)
-        log.columns(entities.WEAK_REGISTRATION, alarm_ns, rr.Points3D.columns(positions=places))
+        log.columns("/world/odometry/weak", alarm_ns, rr.Points3D.columns(positions=places))
         texts = [f"registration {r.index} is weak: {why}" for r, why in alarms]
         levels = [rr.TextLogLevel.WARN] * len(alarms)
-        log.columns(entities.MESSAGES, alarm_ns, rr.TextLog.columns(text=texts, level=levels))
-    quality = {name: [getattr(r, name) for r in registrations] for name in _QUALITY}
-    quality["keypoint_count"] = [len(r.keypoints_sensor) for r in registrations]
-    quality["weak"] = [why is not None for why in weak]
-    for name, values in quality.items():
+        log.columns("/messages", alarm_ns, rr.TextLog.columns(text=texts, level=levels))
+    curves = {name: [getattr(r, name) for r in registrations] for name in _QUALITY}
+    curves["keypoint_count"] = [len(r.keypoints_sensor) for r in registrations]
+    curves["weak"] = [why is not None for why in weak]
+    for name, values in curves.items():
         scalars = np.array(values, np.float64)
         known = np.isfinite(scalars)
-        log.columns(f"{entities.REGISTRATION}/{name}", stamp_ns[known], rr.Scalars.columns(scalars=scalars[known]))
+        columns = rr.Scalars.columns(scalars=scalars[known])
+        log.columns(f"{_ROOT}/{name}", stamp_ns[known], columns)
+
+
+def _log_clouds(log: Log, path: str, stamp_ns: IntArray, clouds: Sequence[FloatArray]) -> None:
+    """Log clouds (k, 3) at the stamps of horizontal scans."""
+    if clouds:
+        columns = rr.Points3D.columns(positions=rounded(np.concatenate(clouds)))
+        log.columns(path, stamp_ns, columns.partition([len(cloud) for cloud in clouds]))

@@ -1,4 +1,4 @@
-"""Walls as upright panels, with holes where their doors and windows are: a wall drawn whole would hide what it lets through."""
+"""Walls as upright panels, with holes for their doors and windows."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,18 +10,20 @@ from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.model import Blinds, Doors, Walls, Windows
 
 _BEHIND_MAX_M = 0.5
-"""Maximum distance in metres of an opening from the wall's other face, which it pierces too."""
+"""Maximum distance (m) of an opening from the other face of the wall."""
 _ALONG_MIN = float(np.cos(np.radians(15.0)))
-"""Cosine of the angle between an opening and the wall that it pierces, at least."""
+"""Minimum cosine of the angle between an opening and its wall."""
 _SLIVER_M = 0.01
-"""Narrower and lower panels are left out."""
+"""Panels narrower or lower than this (m) are omitted."""
 
 
 @dataclass(frozen=True)
 class WallPanels:
     """Rectangles that cover walls without their openings.
 
-    ends: (P, 2, 2) x and y in the map, metres. bottom_m, top_m: (P,) heights. wall: (P,) the wall that each is a part of.
+    ends: (P, 2, 2) x and y in the map, metres.
+    bottom_m, top_m: (P,) heights.
+    wall: (P,) index of the wall.
     """
 
     ends: FloatArray
@@ -31,7 +33,7 @@ class WallPanels:
 
 
 def wall_panels(walls: Walls, doors: Doors, *windows: Windows | Blinds) -> WallPanels:
-    """Cover each wall, but for the doors, and the windows and their blinds, in it and in the other face of the same wall."""
+    """Cover each wall except its openings, in either of its faces."""
     holes = np.concatenate([doors.ends, *(part.ends for part in windows)])
     low_m = np.concatenate([np.full(len(doors), -np.inf), *(part.bottom_m for part in windows)])
     high_m = np.concatenate([doors.head_m, *(part.top_m for part in windows)])
@@ -60,15 +62,17 @@ def wall_panels(walls: Walls, doors: Doors, *windows: Windows | Blinds) -> WallP
 
 
 def _pierces(holes: FloatArray, start: FloatArray, along: FloatArray) -> IntArray:
-    """Which openings (H, 2, 2) lie along the line of a wall and close to it."""
+    """Return the openings (H, 2, 2) that are parallel and close to the line of a wall."""
     width_m = np.maximum(lengths_m(holes), 1e-9)
     cosine = np.abs((holes[:, 1] - holes[:, 0]) @ along) / width_m
     across = np.abs((holes.mean(axis=1) - start) @ np.array([-along[1], along[0]]))
     return np.flatnonzero((cosine > _ALONG_MIN) & (across < _BEHIND_MAX_M))
 
 
-def _solid(bottom_m: float, top_m: float, low_m: FloatArray, high_m: FloatArray) -> list[tuple[float, float]]:
-    """What is left between two heights without some openings that may overlap."""
+def _solid(
+    bottom_m: float, top_m: float, low_m: FloatArray, high_m: FloatArray
+) -> list[tuple[float, float]]:
+    """Return the height ranges without openings; openings may overlap."""
     left: list[tuple[float, float]] = []
     reached = bottom_m
     for low, high in sorted(zip(low_m.tolist(), high_m.tolist(), strict=True)):

@@ -1,128 +1,156 @@
-"""What holds throughout a recording: classes, styles, sensors, explanations, properties, warnings."""
+"""What holds for the whole recording of a run: classes, extrinsics, explanations, warnings."""
 
 from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import PurePath
+from string import Template
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.own_body import OwnBody
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.building.label_reasons import REASONS
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.app.folder.record import FROM_ODOMETRY
-from ffmap.app.record.curves import log_curve_sheet
 from ffmap.app.record.log import Log
-from ffmap.app.record.shapes import POINT_RADIUS_UI, annotations, rounded, transform, ui_radius, words
+from ffmap.app.record.odometry import log_odometry_styles
+from ffmap.app.record.scans import log_scan_classes
+from ffmap.app.record.shapes import annotations, rounded, transform, ui_radius, words
+from ffmap.app.record.tables import table
 from ffmap.app.setup.outputs import Detail
-from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
-from ffmap.blueprints.entities import CurveSheet, Legend
+from ffmap.blueprints.entities import CLASSES, Color
 
-_POINT_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
-    (entities.POINTS, POINT_RADIUS_UI, None),
-    (entities.RELABELLED, 2.5, None),
-    (entities.DOOR_CONDITIONS, 5.0, None),
-    (entities.KEYPOINTS, 2.0, entities.KEYPOINT_COLOR),
-    (entities.LOCAL_MAP, 1.0, entities.LOCAL_MAP_COLOR),
-    (entities.WEAK_REGISTRATION, 6.0, entities.WEAK_COLOR),
-    (entities.SUBMAPS, 4.0, entities.LOOP_COLOR),
-)
-_LINE_STYLES: tuple[tuple[str, float, entities.Color | None], ...] = (
-    (entities.TRAJECTORY, 2.0, entities.TRAJECTORY_COLOR),
-    (entities.LOOPS, 0.75, None),
-    (entities.WAY_OF_ODOMETRY, 1.5, entities.WAY_OF_ODOMETRY_COLOR),
-    (entities.FLOOR, 1.0, entities.CLASSES[Label.FLOOR][1]),
-    (entities.CEILING, 1.0, entities.CLASSES[Label.CEILING][1]),
-    (entities.LINES, 0.75, None),
-    (entities.EXAMPLE_LINE, 3.0, entities.EXAMPLE_COLOR),
-    (entities.UPMOST, 2.0, entities.UPMOST_COLOR),
-    (entities.BOTTOMMOST, 2.0, entities.BOTTOMMOST_COLOR),
-    (entities.DOOR_LINES, 1.5, entities.CLASSES[Label.DOOR][1]),
-    (entities.OPENINGS, 3.0, entities.CLASSES[Label.DOOR][1]),
-)
+_OWN_BODY_COLOR: Color = (255, 120, 200)
+_GLANCE_SCANS = """\
+**One scan of the vertical lidar, and the map up to it.** Move the time cursor at the bottom to see \
+other scans. Upper left: every return in the colour of its label. Below: how walls are detected. \
+Right: the result of all scans."""
+_GLANCE_MAP = """\
+**The building from all scans**: its cloud, walls, doors, windows, grid map, and what was measured \
+of each door. Single scans were not recorded (`--detail lines` records them)."""
+_GLANCE_POSES = """\
+**The trajectory of the lidar, and the registration of each sweep.** Nothing was labelled, because \
+no lidar sees the walls from floor to ceiling. Move the time cursor at the bottom to see other \
+sweeps."""
+_EVALUATION_HELP = """\
+# Comparison with ground truth
+The tabs **Figures** and **Errors** beside this one are empty without `evaluation.rrd`. Open it
+together with `recording.rrd`, or run `ffmap view RUN`, which opens both.
 
-
-def log_sensors(log: Log, sensors: Mapping[str, FloatArray]) -> None:
-    """Where the lidars sit: T_base_sensor (4, 4) by role."""
-    for role, T_base_sensor in sensors.items():
-        log.static(f"{entities.BASE}/{role}", transform(T_base_sensor), rr.TransformAxes3D(0.3))
-
-
-def log_own_body(log: Log, role: str, body: OwnBody) -> None:
-    """What a lidar sees of the robot itself, which is left out of its scans."""
-    points = rr.Points3D(rounded(body.points_sensor), radii=0.02, colors=entities.OWN_BODY_COLOR)
-    log.static(f"{entities.BASE}/{role}/{entities.OWN_BODY}", points)
+`ffmap run` writes that file if the bag has ground truth. `ffmap evaluate RUN` writes it later;
+`--truth FILE` takes the ground truth from another bag.
+"""
 
 
 def log_static(
     log: Log,
     sensors: Mapping[str, FloatArray],
     readme: str,
-    line_pairs: int | None = None,
     slope_max: float | None = None,
 ) -> None:
-    """What holds throughout: classes, styles, frames, sensors, the sheet of the curves, the explanation.
+    """Log what holds for the whole recording.
 
-    sensors: as of `log_sensors`. line_pairs, slope_max: pairs of point lines and the threshold of eq. 2; None where nothing
-    is labelled. Without lines the sheet of the curves has the large one alone.
+    sensors: T_base_sensor (4, 4) by role. slope_max: the threshold of eq. 2; None if nothing is
+    labelled.
     """
-    log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, annotations(entities.CLASSES))
-    log.static(entities.LINES, annotations(entities.LINE_OUTCOMES))
-    log.static(entities.DOOR_CONDITIONS, annotations(entities.DOOR_CONDITION_CLASSES))
-    log.text(entities.README, readme)
-    log.text(entities.GLANCE, entities.glance(labelled=line_pairs is not None, scans=log.detail is not Detail.MAP))
-    log.text(entities.EVALUATION_HELP, entities.EVALUATION_HELP_TEXT)
-    log_legend(log, entities.LABEL_LEGEND, entities.LABEL_LEGEND_ENTRIES)
-    log.static(entities.BASE, rr.TransformAxes3D(0.6))
-    log_sensors(log, sensors)
-    for archetype, styles in ((rr.Points3D, _POINT_STYLES), (rr.LineStrips3D, _LINE_STYLES)):
-        for path, radius_ui, color in styles:
-            log.static(path, archetype.from_fields(radii=ui_radius(radius_ui), colors=color))
-    # Their labels are whole sentences: they show where the pointer rests.
-    log.static(entities.UPMOST, rr.LineStrips3D.from_fields(show_labels=False))
-    log.static(entities.DOOR_CONDITIONS, rr.Points3D.from_fields(show_labels=False))
-    for label in Label:
-        name, color = entities.CLASSES[label]
-        log.curve_style(f"{entities.LABEL_COUNTS}/{name}", name, color)
-    for path, (name, color) in entities.SERIES.items():
-        log.curve_style(path, name, color)
-    if line_pairs is not None and slope_max is not None and log.detail is Detail.LINES:
-        log_curve_sheet(log, CurveSheet(line_pairs), slope_max)
+    log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, annotations(CLASSES))
+    log.text("/readme", readme)
+    scans = _GLANCE_MAP if log.detail is Detail.MAP else _GLANCE_SCANS
+    log.text("/glance", _with_pointer(_GLANCE_POSES if slope_max is None else scans))
+    log.text("/evaluation/help", _EVALUATION_HELP)
+    labels = {"door": "door (leaf)", "clutter": "clutter (furniture)", "outside": "outside (glass)"}
+    classes = list(CLASSES.values())[:6]
+    log_legend(log, "/legend/labels", [(labels.get(name, name), color) for name, color in classes])
+    log.static("/world/base", rr.TransformAxes3D(0.6))
+    for role, T_base_sensor in sensors.items():
+        log.static(f"/world/base/{role}", transform(T_base_sensor), rr.TransformAxes3D(0.3))
+    log_odometry_styles(log)
+    if slope_max is not None:
+        log_scan_classes(log, slope_max)
+
+
+def _with_pointer(glance: str) -> str:
+    return f"{glance} The last tab, **Read me**, explains all tabs, colours and values."
+
+
+def log_own_body(log: Log, role: str, body: OwnBody) -> None:
+    """Log the returns of a lidar from the robot itself, which are excluded from its scans."""
+    points = rr.Points3D(rounded(body.points_sensor), radii=0.02, colors=_OWN_BODY_COLOR)
+    log.static(f"/world/base/{role}/own_body", points)
+
+
+def log_warnings(log: Log, warnings: Sequence[str]) -> None:
+    """Log the warnings of the whole run."""
+    log.text("/warnings", "\n".join(f"- {warning}" for warning in warnings) or "None.")
+
+
+def log_legend(log: Log, path: str, entries: Sequence[tuple[str, Color]]) -> None:
+    """Log names side by side, each below a dot in its colour."""
+    names, colors = zip(*entries, strict=True)
+    dots = np.column_stack([120.0 * np.arange(len(entries)), np.zeros(len(entries))])
+    log.static(f"{path}/dots", rr.Points2D(dots, colors=colors, radii=ui_radius(8.0)))
+    log.static(f"{path}/names", words(dots + np.array([0.0, 6.0]), names))
 
 
 def layout(
-    line_pairs: int | None,
+    labelled: bool,
     detail: Detail,
-    record: dict[str, Any],
+    record: Mapping[str, Any],
     grid: GridMap | None = None,
     several_lidars: bool = False,
 ) -> rrb.Blueprint:
-    """How the recording opens; with the grid, so that the whole building is in view.
+    """Return the layout of a run's recording; with the grid, the whole building is in view.
 
-    line_pairs: as for `log_static`. record: what run.json holds. several_lidars: whether scans are of more than one.
+    record: content of run.json. several_lidars: scans are from several lidars.
     """
+    registered = record["poses_from"] == FROM_ODOMETRY
     return run_blueprint.build(
-        line_pairs,
+        labelled,
         *run_blueprint.view_of(grid),
         scans=detail is not Detail.MAP,
-        registered=record["poses_from"] == FROM_ODOMETRY,
+        registered=registered,
         lines=detail is Detail.LINES,
-        growing=grid is None and record["poses_from"] == FROM_ODOMETRY,
+        growing=grid is None and registered,
         several_lidars=several_lidars,
     )
 
 
-def log_warnings(log: Log, warnings: Sequence[str]) -> None:
-    """Those of the whole run; that there are none is worth telling too."""
-    log.text(entities.WARNINGS, "\n".join(f"- {warning}" for warning in warnings) or "None.")
-
-
-def log_legend(log: Log, path: str, entries: Sequence[tuple[str, entities.Color]]) -> None:
-    """Names side by side, each below a dot in its colour, as `blueprints.run` shows them."""
-    across = Legend.STEP * (np.arange(len(entries)) + 0.5)
-    names, colors = zip(*entries, strict=True)
-    dots = np.column_stack([across, np.zeros(len(entries))])
-    log.static(f"{path}/dots", rr.Points2D(dots, colors=colors, radii=ui_radius(Legend.DOT_UI)))
-    log.static(f"{path}/names", words(dots + np.array([0.0, Legend.NAMES_BELOW]), names))
+def explain(record: Mapping[str, Any]) -> str:
+    """Return the read-me of a recording in Markdown. record: content of run.json at the start."""
+    bag = record.get("bag", {})
+    facts = {
+        "bag": bag.get("path"),
+        "further parts": " ".join((bag.get("parts") or [])[1:]),
+        "digest": bag.get("digest"),
+        "extrinsics from": record.get("mounts_from"),
+        "poses from": record.get("poses_from"),
+        "started": record.get("started"),
+        "settings": record.get("settings_hash"),
+        **record.get("versions", {}),
+    }
+    rig = record.get("rig", {})
+    lidars = [
+        f"- `{lidar['topic']}` ({role.replace('_', ' ')}): "
+        f"{'localization' if role == 'horizontal' else 'mapping; its clouds are labelled'}"
+        for role, lidar in rig.items()
+    ]
+    run = table(("", ""), [(name, f"`{value}`") for name, value in facts.items() if value])
+    settings = [
+        (step, name, value)
+        for step, values in record.get("settings", {}).items()
+        if isinstance(values, Mapping)
+        for name, value in values.items()
+    ]
+    if settings:
+        run += "\n\n## Settings\n" + table(("step", "setting", "value"), settings)
+    text = resources.files("ffmap.app.record").joinpath("readme.md").read_text("utf-8")
+    return Template(text).substitute(
+        bag=PurePath(str(bag.get("path") or "A run")).name,
+        lidars="\n".join(lidars),
+        reasons="; ".join(f"{code} {words}" for code, words in REASONS.items() if code),
+        run=run,
+    )

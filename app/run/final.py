@@ -135,8 +135,6 @@ def relabel_block(job: RelabelJob) -> list[SkippedScan]:
             except Exception as error:
                 failed.append(SkippedScan.failed(scan.scan, scan.stamp_ns, error))
                 label = scan.label
-                if log:
-                    log.forget(scan.stamp_ns, scan.scan)
             votes.add(scan.points_map, label)
             whole = full_labels(len(scan.label_cloud), scan.cloud_index, label)
             labels.append(_RelabelledScan(whole))

@@ -11,7 +11,13 @@ from ffmap.app.folder.names import RECORDING
 from ffmap.app.progress import Progress
 from ffmap.app.record.log import Log
 from ffmap.app.record.stream import Recording, send_properties
-from ffmap.app.record.whole_run import layout, log_own_body, log_static, log_warnings
+from ffmap.app.record.whole_run import (
+    explain,
+    layout,
+    log_own_body,
+    log_static,
+    log_warnings,
+)
 from ffmap.app.run.start import Run
 from ffmap.app.setup.inputs import check_failed
 from ffmap.app.setup.outputs import Output
@@ -75,13 +81,13 @@ class Report:
         """Record the lidars and the settings; a viewer shows the views from then on."""
         if self.log is None:
             return
-        slope_max = run.settings.vertical_structures.slope_max
         by_role = run.inputs.by_role
         extrinsics: dict[str, FloatArray] = {
             role: sensor.lidar.T_base_sensor for role, sensor in by_role.items()
         }
-        pairs = run.inputs.line_pairs
-        log_static(self.log, extrinsics, entities.explain(run.record), pairs, slope_max)
+        labelled = bool(run.inputs.verticals)
+        slope_max = run.settings.vertical_structures.slope_max if labelled else None
+        log_static(self.log, extrinsics, explain(run.record), slope_max)
         for role, sensor in by_role.items():
             if (body := sensor.lidar.decoding.own_body) is not None:
                 log_own_body(self.log, role, body)
@@ -105,10 +111,10 @@ class Report:
         if self._recording is not None:
             self._recording.set_layout(_layout(self._run, grid))
 
-    def finish(self, record: Mapping[str, Any], parts_stay: bool = False) -> None:
+    def finish(self, record: Mapping[str, Any]) -> None:
         """Record the result, and complete the recording.
 
-        record: content of run.json. parts_stay: whether the run is to be resumed.
+        record: content of run.json.
         """
         if self.log is None or self._recording is None:
             return
@@ -116,7 +122,7 @@ class Report:
         properties["bag_digest"] = record["bag"].get("digest")
         send_properties(self.log.stream, "result", properties)
         log_warnings(self.log, self.warnings)
-        self._recording.finish(parts_stay=parts_stay)
+        self._recording.finish()
 
 
 def _open_recording(run: Run, progress: Progress) -> Recording | None:
@@ -126,7 +132,6 @@ def _open_recording(run: Run, progress: Progress) -> Recording | None:
     try:
         return Recording(
             run.folder.path / RECORDING if save else None,
-            run.folder.spool,
             run.record["recording_id"],
             _layout(run),
             run.options.connect,
@@ -141,5 +146,5 @@ def _open_recording(run: Run, progress: Progress) -> Recording | None:
 
 def _layout(run: Run, grid: Any = None) -> Any:  # noqa: ANN401 - Rerun's blueprint
     several = len(run.inputs.verticals) > 1
-    pairs, detail = run.inputs.line_pairs, run.options.detail
-    return layout(pairs, detail, run.record, grid, several_lidars=several)
+    labelled, detail = bool(run.inputs.verticals), run.options.detail
+    return layout(labelled, detail, run.record, grid, several_lidars=several)

@@ -324,7 +324,6 @@ def label_block(block: Block) -> LabelledBlock:
             if isinstance(scan, SkippedScan):
                 skipped.append(scan)
                 if log:
-                    log.forget(scan.stamp_ns, scan.index)
                     log_skipped(log, scan.index, scan.stamp_ns, scan.reason)
             else:
                 scans.append(own.scan)
@@ -401,7 +400,7 @@ def _label(
     if log:
         known = any(sensor.lidar.decoding.intensity for sensor in inputs.verticals)
         intensity = NO_INTENSITY if scan.intensity is None and known else scan.intensity
-        log_scan(log, number, level, labelling, scan.stamp_ns, inputs.line_pairs, intensity)
+        log_scan(log, number, level, labelling, scan.stamp_ns, intensity)
         if len(inputs.verticals) > 1:
             log_lidar(log, place, lidar.topic)
     returns = np.bincount(labelling.label, minlength=len(Label))[list(Label)]

@@ -27,7 +27,6 @@ from ffmap.app.commands import inspect as inspect_command
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import held, is_held
 from ffmap.app.record.read_back import rows
-from ffmap.app.record.stream import whole_messages
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault, LineOutcome
@@ -239,7 +238,7 @@ def test_settings_figures_and_files_that_differ(compared: Path, runs: dict[str, 
 
 def test_the_recording_holds_both_runs_below_their_letters(compared: Path, runs: dict[str, Path]) -> None:
     path = compared / "comparison.rrd"
-    assert whole_messages(path).has_footer
+    RrdReader(path).store()  # fails without a footer
     assert len(RrdReader(path).recordings()) == 1
     for letter, name in (("A", "usual"), ("B", "other")):
         own = {row.scan: row for row in rows(runs[name] / "recording.rrd", entities.POINTS, "label_scan")}
@@ -363,7 +362,7 @@ def test_what_a_run_lacks_is_said_and_the_rest_compared(runs: dict[str, Path], t
     (bare / "recording.rrd").write_text("this is no recording")
     found = compare(tmp_path / "out2", bare, runs["usual"])
     assert any("aborted" in warning for warning in found["warnings"])
-    assert any("is no recording" in warning for warning in found["warnings"])
+    assert any("is not a Rerun recording" in warning for warning in found["warnings"])
     assert found["settings"]["gone.by_m"] == {"A": 1, "B": None}
     assert found["comparisons"][0]["compared"] == []
 
@@ -404,7 +403,7 @@ def test_a_scan_is_labelled_again_bit_for_bit(
     out = tmp_path / "scan.rrd"
     done = ffmap(environment, "inspect", runs["other"], "--scan", "worst", "--line", "3", "--out", out)
     assert done.returncode == 0, done.stderr
-    assert "have a wrong final label (label), by the truth" in done.stdout
+    assert "have a wrong final label (label), by ground truth" in done.stdout
     assert "equal label_scan in labels.parquet" in done.stdout
     for number in (0, 17, SCANS - 1):
         found = inspection.label_again(open_run(runs["other"]), number)
@@ -412,12 +411,12 @@ def test_a_scan_is_labelled_again_bit_for_bit(
     lines = len(found.labelling.lines)
     documents: dict[int, str] = {}
     strips: dict[int, int] = {}
-    for chunk in RrdReader(out).stream().filter(content=[entities.WHY_LINE, entities.EXAMPLE_LINE]):
+    for chunk in RrdReader(out).stream().filter(content=["/why/line", "/scan/lines/example"]):
         batch = chunk.to_record_batch()
         if entities.LINE_TIMELINE not in batch.schema.names:
             continue
         for i, line in enumerate(batch.column(entities.LINE_TIMELINE).to_pylist()):
-            if chunk.entity_path == entities.WHY_LINE:
+            if chunk.entity_path == "/why/line":
                 documents[line] = batch.column("TextDocument:text")[i].as_py()[0]
             else:
                 strips[line] = sum(len(strip) for strip in batch.column("LineStrips3D:strips")[i].as_py())
@@ -473,8 +472,8 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     counts = np.bincount(line_of[wrong], minlength=len(lines.lines))
     assert opened == int(np.argmax(counts))
     out = capsys.readouterr().out
-    assert f"the final label (label) of {np.count_nonzero(wrong):,} of {len(wrong):,} returns is wrong" in out
-    assert f"{np.count_nonzero(wrong & (label == label_scan)):,} that have it from the scan itself (label_scan)" in out
+    assert f"The final label (label) of {np.count_nonzero(wrong):,} of {len(wrong):,} returns is wrong" in out
+    assert f"{np.count_nonzero(wrong & (label == label_scan)):,} with that label by the scan itself (label_scan)" in out
     assert f"Most are in line {opened} " in out
     assert f"{counts.max():,}." in out
     changes = inspection.label_again(open_run(run), scan).changes
@@ -493,7 +492,7 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     assert not faults.by_truth
     np.testing.assert_array_equal(faults.fault == Fault.RELABELLED, label != label_scan)
     assert opened == 3
-    assert "is not that of the scan itself (label_scan)" in capsys.readouterr().out
+    assert "is not the label by the scan itself (label_scan)" in capsys.readouterr().out
 
     # A run without final labels says that nothing is marked.
     bare = tmp_path / "bare"
@@ -502,13 +501,13 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
     inspect_command.inspect(bare, str(scan), None, None, tmp_path / "bare.rrd", spawn=False)
     assert written.call_args.args[2].faults is None
     assert written.call_args.args[2].line is None
-    assert "holds no final labels (label) of this scan" in capsys.readouterr().out
+    assert "has no final labels (label) of this scan" in capsys.readouterr().out
 
 
 def test_reasons_are_recorded_beside_candidates_and_door_lines(runs: dict[str, Path]) -> None:
     path = runs["usual"] / "recording.rrd"
     reasons = {row.scan: row.values for row in rows(path, entities.UPMOST, "growth")}
-    outcomes = {row.scan: row.values for row in rows(path, entities.LINES, "outcome")}
+    outcomes = {row.scan: row.values for row in rows(path, "/scan/lines", "outcome")}
     assert len(reasons) == SCANS
     for scan, values in reasons.items():
         assert len(values["labels"]) == len(values["line"])
@@ -516,7 +515,7 @@ def test_reasons_are_recorded_beside_candidates_and_door_lines(runs: dict[str, P
         assert [label.startswith("taken: ") for label in values["labels"]] == taken.tolist()
         outcome = dict(zip(outcomes[scan]["line"].tolist(), outcomes[scan]["outcome"].tolist(), strict=True))
         assert all(outcome[line] in (LineOutcome.WALL, LineOutcome.DOOR) for line in values["line"][taken])
-    doors = [row.values for row in rows(path, entities.DOOR_CONDITIONS, "conditions_held")]
+    doors = [row.values for row in rows(path, "/scan/doors/conditions", "conditions_held")]
     for values in doors:
         held = values["conditions_held"] == 3
         assert [label.startswith("above a door") for label in values["labels"]] == held.tolist()
@@ -557,7 +556,7 @@ def test_what_cannot_be_inspected_is_one_line(
         (tmp_path / "none", "3", None, "no such folder"),
         (tmp_path, "3", None, "is no run folder"),
         (moved, "worst", None, "no labels of single scans"),
-        (moved, "3", None, "say with --bag where it is"),
+        (moved, "3", None, "Pass the bag of the run with --bag"),
     ):
         with pytest.raises(InputError, match=wanted):
             inspect_command.inspect(path, scan, line, None, out, spawn=False)
@@ -566,7 +565,7 @@ def test_what_cannot_be_inspected_is_one_line(
             inspect_command.inspect(runs["usual"], "3", None, None, taken, spawn=False)
     assert not out.exists()
     inspect_command.inspect(moved, "3", None, bag, out, spawn=False)
-    assert whole_messages(out).has_footer
+    RrdReader(out).store()  # fails without a footer
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from ffmap.app.commands import rooms as rooms_command
-from ffmap.blueprints import entities
 from tests.program import ffmap_here
 
 AREAS_M2 = {"left": 4.0 * 5.0, "right": 5.0 * 5.0}
@@ -139,11 +138,11 @@ def test_the_picture_and_the_recording_show_the_rooms(ffmap, tmp_path: Path) -> 
     assert np.abs(left.astype(int) - right).max() > 40
     store = RrdReader(out / "rooms.rrd").stream().collect()
     paths = {str(chunk.entity_path) for chunk in store.stream()}
-    parts = (entities.ROOM_FLOORS, entities.ROOM_NAMES, entities.ROOM_PASSAGES)
-    assert {*(f"{entities.ROOMS}/{part}" for part in parts), entities.ROOM_GRAPH} <= paths
+    parts = ("floors", "names", "passages")
+    assert {*(f"/world/rooms/{part}" for part in parts), "/rooms/graph"} <= paths
     columns: dict[str, list] = {}
     for chunk in store.stream():
-        if str(chunk.entity_path) == entities.ROOM_GRAPH:
+        if str(chunk.entity_path) == "/rooms/graph":
             columns |= chunk.to_record_batch().to_pydict()
     assert columns["GraphNodes:node_ids"] == [["room 1", "room 2"]]
     ((edge,),) = columns["GraphEdges:edges"]

@@ -228,9 +228,9 @@ def test_rooms_doors_topology_and_recording_tell_the_same(finished: Path) -> Non
     assert any(door["rooms"] for door in doors)
     paths = {str(chunk.entity_path) for chunk in RrdReader(finished / "recording.rrd").stream()}
     assert {
-        f"{entities.ROOMS}/{entities.ROOM_FLOORS}",
-        f"{entities.ROOMS}/{entities.ROOM_NAMES}",
-        entities.ROOM_GRAPH,
+        "/world/rooms/floors",
+        "/world/rooms/names",
+        "/rooms/graph",
     } <= paths
     metrics = json.loads((finished / "metrics.json").read_text())
     assert metrics["rooms"]["found"] == len(rooms)
@@ -311,7 +311,7 @@ def test_what_odometry_measured_lies_on_the_timeline_that_opens(finished: Path) 
     record = json.loads((finished / "run.json").read_text())
     chunks = RrdReader(finished / "recording.rrd").stream().collect()
     for name in ("weak", "refined_inlier_share", "weakest_share", "threshold_m"):
-        path = f"{entities.REGISTRATION}/{name}"
+        path = f"/metrics/registration/{name}"
         found = chunks.stream().filter(content=path).collect().reader(index=entities.SCAN_TIMELINE).to_pandas()
         assert len(found) > 0.8 * record["counts"]["registrations"]
         assert 0 <= found["scan"].min() <= found["scan"].max() < record["counts"]["clouds"]

@@ -13,27 +13,29 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_scan
 from ffmap.app.record.stream import Recording, send_properties
-from ffmap.app.record.whole_run import log_static
+from ffmap.app.record.whole_run import explain, log_static
 from ffmap.app.setup.outputs import Detail
-from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
+from ffmap.blueprints.entities import SCAN_TIMELINE
 from tests import synthetic
 
 SCANS = 4
 Labelled = tuple[Scan, LevelledScan, ScanLabelling]
 
 
-def write_block(path: Path, labelled: list[Labelled], first: int, count: int, detail: Detail = Detail.LINES) -> None:
+def write_block(
+    path: Path, labelled: list[Labelled], first: int, count: int, detail: Detail = Detail.LINES
+) -> None:
     with open_log(path, "run-1", detail) as log:
         for index in range(first, first + count):
             log_scan(log, index, *labelled[index][1:], synthetic.stamp_ns(index))
 
 
 def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LINES) -> Path:
-    """Two blocks, joined into one recording with its statics."""
+    """Two blocks, and what holds for the whole recording."""
     recording = start(folder, "run-1")
     log = Log(recording.stream, detail)
-    log_static(log, {"vertical": synthetic.T_BASE_SENSOR}, entities.explain({}), synthetic.RINGS, 1.0)
+    log_static(log, {"vertical": synthetic.T_BASE_SENSOR}, explain({}), 1.0)
     send_properties(log.stream, "settings", {"wall_planes": {"similarity_m": 0.05}, "name": None})
     for first in (0, 2):
         block = folder / f"{first:04d}.rrd"
@@ -44,11 +46,11 @@ def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LI
 
 
 def start(folder: Path, recording_id: str, *viewer: Any) -> Recording:
-    """viewer: where it listens, and who prints that it has ended; none if it is left out."""
-    return Recording(folder / "recording.rrd", folder, recording_id, run_blueprint.build(), *viewer)
+    """viewer: its URL, and who prints that it has ended; none if omitted."""
+    return Recording(folder / "recording.rrd", recording_id, run_blueprint.build(), *viewer)
 
 
-def rows(path: Path, entity: str, index: str = entities.SCAN_TIMELINE) -> Iterator[dict[str, Any]]:
+def rows(path: Path, entity: str, index: str = SCAN_TIMELINE) -> Iterator[dict[str, Any]]:
     """The rows of one entity on a timeline, components by their short names."""
     chunks = RrdReader(path).stream().filter(content=entity).collect()
     table = chunks.reader(index=index).to_pandas()
@@ -57,14 +59,14 @@ def rows(path: Path, entity: str, index: str = entities.SCAN_TIMELINE) -> Iterat
 
 
 def static(path: Path) -> dict[str, dict[str, Any]]:
-    """What holds throughout, by entity, components by their short names."""
-    return {
-        chunk.entity_path: {
-            str(name).split(":")[-1]: value for name, value in chunk.to_record_batch().to_pydict().items()
-        }
-        for chunk in RrdReader(path).stream()
-        if chunk.is_static
-    }
+    """What holds for the whole recording, by entity, components by their short names."""
+    found: dict[str, dict[str, Any]] = {}
+    for chunk in RrdReader(path).stream():
+        if chunk.is_static:
+            columns = chunk.to_record_batch().to_pydict().items()
+            own = found.setdefault(chunk.entity_path, {})
+            own |= {str(name).split(":")[-1]: value for name, value in columns}
+    return found
 
 
 def temporal_paths(path: Path) -> set[str]:

@@ -42,34 +42,34 @@ def test_each_line_has_its_place_on_the_timeline(settings: dict[str, float], tmp
     write(path, "inspect-1", explained)
     lines = set(range(2 * synthetic.RINGS))
     strips = "LineStrips3D:strips"
-    upmost = by_line(path, f"{entities.LINE_STRUCTURES}/upmost", strips)
+    upmost = by_line(path, "/scan/line/structures/upmost", strips)
     assert upmost.keys() == lines
     structures = labelling.structures
     for line, drawn in upmost.items():
         own = structures.upmost[line]
         wanted = [structures.last[own] - structures.first[own] + 1] if own >= 0 else []
         assert [len(strip) for strip in drawn] == wanted
-    others = by_line(path, f"{entities.LINE_STRUCTURES}/others", strips)
-    bottommost = by_line(path, f"{entities.LINE_STRUCTURES}/bottommost", strips)
+    others = by_line(path, "/scan/line/structures/others", strips)
+    bottommost = by_line(path, "/scan/line/structures/bottommost", strips)
     for line in lines:
         count = len(upmost[line]) + len(bottommost[line]) + len(others[line])
         assert count == np.count_nonzero(structures.line == line)
     # A fan from the lidar to every sample of the line.
-    sight = by_line(path, entities.LINE_SIGHT, "Mesh3D:vertex_positions")
+    sight = by_line(path, "/scan/line/sight", "Mesh3D:vertex_positions")
     assert {line: len(drawn) for line, drawn in sight.items()} == {
         line: 1 + np.count_nonzero(labelling.lines.samples[line] >= 0) for line in lines
     }
-    planes = by_line(path, entities.LINE_PLANE, strips)
+    planes = by_line(path, "/scan/line/plane", strips)
     members = labelling.planes.candidate_line[labelling.planes.candidate_plane >= 0]
     assert {line: len(drawn) for line, drawn in planes.items()} == {
         line: int(np.count_nonzero(members == line)) for line in lines
     }
     assert (sum(map(len, planes.values())) > 0) == (not settings)
-    growing = by_line(path, entities.LINE_GROWING, strips)
+    growing = by_line(path, "/scan/line/growing_plane", strips)
     for line in lines:
         compared = np.isfinite(labelling.planes.candidate_distance_m[labelling.planes.candidate_line == line])
         assert bool(growing[line]) == bool(compared.any())
-    door = by_line(path, entities.LINE_DOOR, strips)
+    door = by_line(path, "/scan/line/door", strips)
     behind = labelling.door_lines.line[labelling.door_lines.behind]
     assert {line for line, drawn in door.items() if drawn} == set(behind.tolist())
 
@@ -87,7 +87,7 @@ def test_what_is_labelled_wrongly_is_marked_in_the_scan_and_in_each_line(tmp_pat
     write(path, "inspect-2", explained)
     (batch,) = (
         batch
-        for chunk in RrdReader(path).stream().filter(content=entities.FAULTS)
+        for chunk in RrdReader(path).stream().filter(content="/scan/faults")
         if "Points3D:positions" in (batch := chunk.to_record_batch()).schema.names
     )
     drawn = np.array(batch.column("Points3D:positions")[0].as_py())
@@ -97,8 +97,8 @@ def test_what_is_labelled_wrongly_is_marked_in_the_scan_and_in_each_line(tmp_pat
     away = drawn - level.placed.origin_level
     np.testing.assert_allclose(np.linalg.norm(returned, axis=1) - np.linalg.norm(away, axis=1), 0.1, atol=1e-4)
     np.testing.assert_allclose(np.linalg.norm(np.cross(returned, away), axis=1), 0.0, atol=1e-3)
-    profiles = by_line(path, entities.PROFILE_FAULTS, "Points2D:class_ids")
-    told = by_line(path, entities.WHY_LINE, "TextDocument:text")
+    profiles = by_line(path, "/profile/faults", "Points2D:class_ids")
+    told = by_line(path, "/why/line", "TextDocument:text")
     counts = faults.counts(lines)
     assert counts.sum() == np.count_nonzero(fault)
     for line in range(len(lines)):

@@ -44,7 +44,7 @@ def timelines_of(path: Path) -> set[str]:
     return {
         name
         for chunk in RrdReader(path).stream()
-        if chunk.entity_path.startswith((entities.ODOMETRY, entities.REGISTRATION)) and not chunk.is_static
+        if chunk.entity_path.startswith(("/world/odometry", "/metrics/registration")) and not chunk.is_static
         for name in chunk.timeline_names
     }
 
@@ -56,15 +56,15 @@ def test_registrations_lie_on_stamp_alone_where_there_are_no_vertical_scans(tmp_
     log_registrations(log, registrations(), [None, "nothing holds it", None])
     recording.finish()
     assert timelines_of(path) == {entities.STAMP_TIMELINE}
-    poses = [vectors(row["translation"])[0][0] for row in rows(path, entities.ODOMETRY_SENSOR, entities.STAMP_TIMELINE)]
+    poses = [vectors(row["translation"])[0][0] for row in rows(path, "/world/odometry/sensor", entities.STAMP_TIMELINE)]
     assert poses == [0.0, 1.0, 2.0]
-    alarms = [row["scalars"][0] for row in rows(path, f"{entities.REGISTRATION}/weak", entities.STAMP_TIMELINE)]
+    alarms = [row["scalars"][0] for row in rows(path, "/metrics/registration/weak", entities.STAMP_TIMELINE)]
     assert alarms == [0.0, 1.0, 0.0]
-    (weak,) = rows(path, entities.WEAK_REGISTRATION, entities.STAMP_TIMELINE)
+    (weak,) = rows(path, "/world/odometry/weak", entities.STAMP_TIMELINE)
     assert vectors(weak["positions"])[0][0] == 1.0
     (message,) = rows(path, entities.MESSAGES, entities.STAMP_TIMELINE)
     assert "registration 1 is weak: nothing holds it" in str(message)
-    residuals = list(rows(path, f"{entities.REGISTRATION}/residual_m", entities.STAMP_TIMELINE))
+    residuals = list(rows(path, "/metrics/registration/residual_m", entities.STAMP_TIMELINE))
     assert len(residuals) == 2  # what was not measured is not drawn
 
 
@@ -79,10 +79,10 @@ def test_registrations_have_the_scan_of_the_first_vertical_cloud_that_is_not_old
     log_odometry_frame(log, np.array([second]), np.eye(4)[None])
     recording.finish()
     assert timelines_of(path) == {entities.STAMP_TIMELINE, entities.SCAN_TIMELINE}
-    alarms = [(row["scan"], row["scalars"][0]) for row in rows(path, f"{entities.REGISTRATION}/weak")]
+    alarms = [(row["scan"], row["scalars"][0]) for row in rows(path, "/metrics/registration/weak")]
     assert alarms == [(0, 0.0), (3, 1.0), (5, 0.0)]
-    assert [row["scan"] for row in rows(path, entities.KEYPOINTS)] == [0, 3, 5]
-    assert [row["scan"] for row in rows(path, entities.ODOMETRY)] == [3]
+    assert [row["scan"] for row in rows(path, "/world/odometry/sensor/keypoints")] == [0, 3, 5]
+    assert [row["scan"] for row in rows(path, "/world/odometry")] == [3]
     assert [row["scan"] for row in rows(path, entities.MESSAGES)] == [3]
 
 
@@ -108,15 +108,15 @@ def test_loops_are_drawn_where_the_solved_poses_are(tmp_path):
     log_odometry_frame(log, stamps, T_map_odom @ shift)
     log_pose_graph(log, graph, T_map_odom, stamps, 0.1 * np.arange(4))
     recording.finish()
-    frames = [vectors(r["translation"])[0] for r in rows(path, entities.ODOMETRY, entities.STAMP_TIMELINE)]
+    frames = [vectors(r["translation"])[0] for r in rows(path, "/world/odometry", entities.STAMP_TIMELINE)]
     np.testing.assert_allclose(frames, [[0.0, 0.1 * i, 2.0] for i in range(4)], atol=1e-6)
-    moved = [r["scalars"][0] for r in rows(path, f"{entities.REGISTRATION}/loops_moved_m", entities.STAMP_TIMELINE)]
+    moved = [r["scalars"][0] for r in rows(path, "/metrics/registration/loops_moved_m", entities.STAMP_TIMELINE)]
     np.testing.assert_allclose(moved, 0.1 * np.arange(4))
     found = static(path)
-    loops = found[entities.LOOPS]
+    loops = found["/world/pose_graph/loops"]
     np.testing.assert_allclose(loops["strips"][0], [[[0, 0, 3], [3, 0.3, 3]]] * 2, atol=1e-6)
     believed, doubted = loops["colors"][0]
     assert believed != doubted  # one of them contradicts the others
     assert loops["labels"][0][1] == "70% fits, 8.0 standard deviations off, weight 0.12"
-    before = found[entities.WAY_OF_ODOMETRY]["strips"][0]
+    before = found["/world/pose_graph/way_of_odometry"]["strips"][0]
     np.testing.assert_allclose(before, [[[i, 0, 3] for i in range(4)]], atol=1e-6)

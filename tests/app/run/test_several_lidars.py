@@ -81,14 +81,14 @@ def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None
     inputs = find_inputs(folder / "drive", RunOptions())
     topics = open_run(folder / "run").topics
     with readable(folder / "run" / "recording.rrd") as recording:
-        said = {row.scan: row.values for row in rows(recording.path, entities.SCAN_LIDAR, entities.LIDAR_PLACE)}
+        said = {row.scan: row.values for row in rows(recording.path, "/scan/lidar", "place")}
         drawn = {row.scan for row in rows(recording.path, entities.POINTS, entities.POINT_LABEL_SCAN)}
     assert said.keys() == drawn
     for scan, values in said.items():
         place = int(inputs.scans.lidar[scan])
-        assert int(values[entities.LIDAR_PLACE][0]) == place
+        assert int(values["place"][0]) == place
         assert topics[place] in str(values["text"][0])
-    assert {int(values[entities.LIDAR_PLACE][0]) for values in said.values()} == {0, 1}
+    assert {int(values["place"][0]) for values in said.values()} == {0, 1}
 
 
 def labels_of(inputs_of: RunOptions, folder: Path, name: str) -> dict[tuple[str, int], UInt8Array]:
