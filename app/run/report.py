@@ -21,7 +21,6 @@ from ffmap.app.record.whole_run import (
 from ffmap.app.run.start import Run
 from ffmap.app.setup.inputs import check_failed
 from ffmap.app.setup.outputs import Output
-from ffmap.blueprints import entities
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.scans import SkippedScan
 
