@@ -41,7 +41,7 @@ class PointLines:
 
     def count(self, chosen: BoolArray) -> IntArray:
         """(2n,) number of chosen returns in each line; chosen: (r,) of the scan."""
-        return np.asarray(_count(chosen, self.order, self.starts))
+        return np.diff(np.concatenate([[0], np.cumsum(chosen[self.order])])[self.starts])
 
 
 def make_point_lines(
@@ -138,15 +138,6 @@ def _columns(
         if chosen >= 0:
             in_middle[chosen] = True
     return line, rise, in_middle
-
-
-@numba.njit(cache=True, nogil=True)
-def _count(chosen: BoolArray, order: IntArray, starts: IntArray) -> IntArray:
-    count = np.zeros(len(starts) - 1, np.int64)
-    for line in range(len(count)):
-        for j in range(starts[line], starts[line + 1]):
-            count[line] += chosen[order[j]]
-    return count
 
 
 @numba.njit(cache=True, nogil=True)

@@ -77,7 +77,7 @@ class WallCandidates:
     structure: vertical structure of each. line: its point line.
     part: number of the walk that it is part of; no plane grows from one walk into the next.
     first, last: first and last sample of its upper part.
-    moments: (C, 6) n, Σx, Σy, Σxx, Σxy, Σyy of these samples.
+    moments: (C, 6) n, Σx, Σy, Σxx, Σxy, Σyy of these samples. middle: (C, 2) their mean x and y.
     reach: uint8, see `Reach`.
     below_ceiling_m: distance of its end below the ceiling nearest in height, negative above; NaN
         where no ceiling is in view.
@@ -90,6 +90,7 @@ class WallCandidates:
     first: IntArray
     last: IntArray
     moments: FloatArray
+    middle: FloatArray
     reach: UInt8Array
     below_ceiling_m: FloatArray
     gap_max_m: FloatArray
@@ -136,7 +137,6 @@ def choose_candidates(
         returns.points_level, returns.height_m, samples[line], structures.first[chosen], last
     )
     middle = moments[:, 1:3] / moments[:, :1]
-    range_m = np.hypot(*(middle - origin).T)
     return WallCandidates(
         structure=chosen.astype(np.int32),
         line=line,
@@ -144,9 +144,10 @@ def choose_candidates(
         first=first,
         last=last,
         moments=moments,
+        middle=middle,
         reach=reach[chosen],
         below_ceiling_m=below_ceiling_m[chosen],
-        gap_max_m=settings.gap_m + _GAP_M_PER_M * range_m,
+        gap_max_m=settings.gap_m + _GAP_M_PER_M * np.hypot(*(middle - origin).T),
     )
 
 

@@ -113,7 +113,12 @@ def grow_wall_planes(
     candidates = choose_candidates(returns, samples, structures, ceilings, meets_ceiling, settings)
     moments, reaches = candidates.moments, candidates.reach != Reach.LOW
     grown, growth, distance_m, gap_m = _grow(
-        moments, candidates.part, reaches, candidates.gap_max_m, settings.similarity_m
+        moments,
+        candidates.middle,
+        candidates.part,
+        reaches,
+        candidates.gap_max_m,
+        settings.similarity_m,
     )
     plane, nearest_m = _settle(grown, candidates, reaches, settings)
     total, lines, fits = _fit_planes(plane, moments, grown.max(initial=0) + 1, settings.lines_min)
@@ -204,6 +209,7 @@ def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:
 @numba.njit(cache=True, nogil=True)
 def _grow(
     moments: FloatArray,
+    middle: FloatArray,
     part: IntArray,
     reaches: BoolArray,
     gap_max_m: FloatArray,
@@ -211,7 +217,7 @@ def _grow(
 ) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:
     """Algorithm 1: the plane (C,) of each candidate, its `Growth`, its Θ and its gap.
 
-    moments, part, gap_max_m: as of `WallCandidates`. reaches: (C,) whether it is high enough.
+    moments, middle, part, gap_max_m: as of `WallCandidates`. reaches: (C,) whether it is high enough.
     """
     plane = np.full(len(moments), -1, np.int32)
     growth = np.full(len(moments), Growth.REFUSED, np.uint8)
@@ -230,8 +236,7 @@ def _grow(
             else:
                 nx, ny, offset, _, _ = fit_upright_plane(P)
                 distance[i] = _theta(moments[i], nx, ny, offset)
-            dx = moments[i, 1] / moments[i, 0] - moments[last, 1] / moments[last, 0]
-            dy = moments[i, 2] / moments[i, 0] - moments[last, 2] / moments[last, 0]
+            dx, dy = middle[i] - middle[last]
             gap[i] = np.hypot(dx, dy)
             joins = distance[i] < similarity_m and gap[i] < gap_max_m[i]
         if joins:
@@ -258,7 +263,7 @@ def _settle(
     moments, count = candidates.moments, grown.max(initial=0) + 1
     plane, lines_min = grown.copy(), settings.lines_min
     _join_in_line(plane, moments, count, settings.similarity_m, settings.merge_gap_m, lines_min)
-    x, y = (moments[:, 1:3] / moments[:, :1]).T[:, :, None]
+    x, y = candidates.middle.T[:, :, None]
     # Twice, because the first time moves the planes.
     for _ in range(2):
         _, _, fits = _fit_planes(plane, moments, count, lines_min)
