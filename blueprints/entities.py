@@ -9,7 +9,7 @@ from ffmap.algorithms.truth.maps import Agreement
 APPLICATION_ID = "furniture_free_mapping"
 
 SCAN_TIMELINE = "scan"
-"""Index of the vertical cloud in the bag, skipped ones counted; of several lidars by their stamps."""
+"""Index of the vertical cloud in the bag, skipped ones counted; of several lidars by stamp."""
 STAMP_TIMELINE = "stamp"
 """Header stamp, nanoseconds since 1970."""
 LINE_TIMELINE = "line"
@@ -40,7 +40,7 @@ CANDIDATE_PLANE_COLOR = "plane_color"
 
 GRAPH_UNITS_PER_M = 25.0
 """Scale of the graph of rooms: its view draws names in its own units."""
-OVERHEAD = [*(surface for surface in Surface if surface.label == Label.CEILING), Surface.MIRRORED_FLOOR]
+OVERHEAD = [s for s in Surface if s.label == Label.CEILING] + [Surface.MIRRORED_FLOOR]
 """Level surfaces that hide what is below them."""
 
 Color = tuple[int, int, int]

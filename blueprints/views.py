@@ -8,7 +8,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.blueprints.entities import MAP_POINTS, OPENINGS, SCAN_TIMELINE, STAMP_TIMELINE, TRAJECTORY
+from ffmap.blueprints.entities import (
+    MAP_POINTS,
+    OPENINGS,
+    SCAN_TIMELINE,
+    STAMP_TIMELINE,
+    TRAJECTORY,
+)
 
 Part = rrb.Container | rrb.View
 ROBOT = (TRAJECTORY, "/world/base/**")

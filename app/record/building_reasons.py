@@ -64,7 +64,8 @@ def building_document(building: BuildingModel) -> str:
         parts = [_DOORS, of_doors]
     if len(judged.refused):
         why = [REFUSALS[verdict] for verdict in judged.verdict]
-        parts += ["## Faces that are not walls", fields_table(judged.refused, "scan_count", why=why)]
+        refused = fields_table(judged.refused, "scan_count", why=why)
+        parts += ["## Faces that are not walls", refused]
     if foreground.covered.any():
         area_m2 = np.count_nonzero(foreground.covered) * CELL_M**2
         parts.append(_AGAINST.format(area_m2=area_m2))

@@ -48,4 +48,5 @@ def write_calibration(
             level = points[np.abs(points[:, 2] - height_m) < _SLICE_M, :2] * [1, -1]
             seen_above = rr.Points2D(level, colors=color, radii=radii)
             stream.log(f"above/{which}", seen_above, static=True)
-            stream.log(f"space/{which}", rr.Points3D(points, colors=color, radii=radii), static=True)
+            in_space = rr.Points3D(points, colors=color, radii=radii)
+            stream.log(f"space/{which}", in_space, static=True)

@@ -55,7 +55,7 @@ class ScanFaults:
     @property
     def kinds(self) -> tuple[Fault, ...]:
         """The faults that occur."""
-        return tuple(fault for fault in Fault if fault != Fault.NONE and (self.fault == fault).any())
+        return tuple(f for f in Fault if f != Fault.NONE and (self.fault == f).any())
 
     def counts(self, lines: PointLines) -> IntArray:
         """(2n,) number of faults in each point line."""
@@ -195,8 +195,11 @@ class _Lines:
         samples = self._labelling.lines.samples[line]
         ends = self._points[samples[samples >= 0]]
         fan = [(0, i, i + 1) for i in range(1, len(ends))]
-        corners = np.vstack([self._origin, ends]).astype(np.float32)
-        sheet = rr.Mesh3D(vertex_positions=corners, triangle_indices=fan, albedo_factor=_SIGHT_COLOR)
+        sheet = rr.Mesh3D(
+            vertex_positions=np.vstack([self._origin, ends]).astype(np.float32),
+            triangle_indices=fan,
+            albedo_factor=_SIGHT_COLOR,
+        )
         self._log.now("/scan/line/sight", sheet if fan else rr.Clear(recursive=False))
 
     def _log_structures(self, line: int) -> None:
@@ -237,7 +240,8 @@ class _Lines:
                 peers = before[planes.candidate_grown[before] == latest]
                 for s in planes.candidate_structure[peers]:
                     samples = self._labelling.lines.samples[structures.line[s]]
-                    growing.append(self._points[samples[structures.first[s] : structures.last[s] + 1]])
+                    span = samples[structures.first[s] : structures.last[s] + 1]
+                    growing.append(self._points[span])
                 away = f"the growing plane, {100 * planes.candidate_distance_m[c]:.1f} cm away"
                 growing_names += [""] * (len(peers) - 1) + [away]
             plane = planes.candidate_plane[c]
@@ -247,7 +251,8 @@ class _Lines:
                 names.append(f"plane {plane}, {100 * planes.candidate_nearest_m[c]:.1f} cm away")
         in_growth = strips(growing, _GROWING_COLOR, 2.5, growing_names, show_labels=True)
         self._log.now("/scan/line/growing_plane", in_growth)
-        self._log.now("/scan/line/plane", strips(outlines, WALL_COLOR, 2.0, names, show_labels=True))
+        in_plane = strips(outlines, WALL_COLOR, 2.0, names, show_labels=True)
+        self._log.now("/scan/line/plane", in_plane)
 
     def _log_door(self, line: int) -> None:
         """Log where the line passes below the height at which the depression begins."""

@@ -204,7 +204,8 @@ def _is_behind(labelling: ScanLabelling, d: int) -> Condition:
         case Depression.NONE:
             measured, limit = f"recedes by {_cm(doors.recess_m[d])}", recess
         case Depression.ABOVE_OFF_PLANE:
-            measured, limit = f"above the recess {_cm(abs(doors.above_m[d]))} off the plane", "on it"
+            measured = f"above the recess {_cm(abs(doors.above_m[d]))} off the plane"
+            limit = "on it"
         case Depression.SHALLOW:
             measured, limit = _cm(behind_m), recess
         case Depression.EXCEPTIONS:
@@ -301,7 +302,8 @@ def scan_document(
         parts += ["## Wall planes", fields_table(planes, *fields, plane=range(len(planes)))]
     if len(openings):
         states = [DoorState(state).name.lower() for state in openings.state]
-        of_openings = fields_table(openings, "plane", "depth_m", "head_m", "line_count", state=states)
+        fields = "plane", "depth_m", "head_m", "line_count"
+        of_openings = fields_table(openings, *fields, state=states)
         parts += ["## Openings", of_openings]
     columns: dict[str, Sequence[object]] = {"line": [r.line for r in reasons]}
     if marked is not None:

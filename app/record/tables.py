@@ -15,7 +15,11 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join([lines[0], "|---" * len(headings) + "|", *lines[1:]])
 
 
-def fields_table(items: Any, *names: str, **columns: Sequence[object]) -> str:  # noqa: ANN401 - any dataclass
+def fields_table(
+    items: Any,  # noqa: ANN401 - any dataclass
+    *names: str,
+    **columns: Sequence[object],
+) -> str:
     """Return a table with a row for each item of a dataclass of arrays.
 
     names: fields (K,); `_m` in a name is its unit. columns: further cells by heading, first.

@@ -4,6 +4,7 @@ import errno
 import json
 import mmap
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -39,6 +40,7 @@ from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import FFMAP, FFMAP_BEHIND, FFMAP_IN_FRONT, ffmap, ffmap_here, kill_once, with_cache
 from tests.receiver import content, receiving, shown
 
+ROOT = Path(__file__).parents[3]
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
 FILES = [
     "recording.rrd",
@@ -766,3 +768,48 @@ def test_real_lidar_gives_a_trajectory_and_nothing_to_label(environment: dict[st
     u, _, v = np.linalg.svd(b.T @ a)
     turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ v))]) @ v
     assert np.linalg.norm(b - a @ turn.T, axis=1).mean() < 0.06
+
+
+def test_recordings_are_as_documented(finished: Path) -> None:
+    """docs/recording.md has every entity of a recording, and recordings have every entity in it."""
+    document = (ROOT / "docs" / "recording.md").read_text("utf-8")
+    of_evaluation = document.index("## Evaluation")
+    for name, part in (
+        ("recording.rrd", document[:of_evaluation]),
+        ("evaluation.rrd", document[of_evaluation:]),
+    ):
+        documented: dict[str, tuple[set[str], set[str], str]] = {}
+        for line in re.findall(r"^\| `/(?!__).*\|$", part, re.MULTILINE):
+            entity, _, *schema, by, only_if = (cell.strip() for cell in line[1:-1].split("|"))
+            timelines, archetypes, columns = schema
+            names = set(re.findall(r"\w+", f"{timelines} {archetypes}"))
+            documented[entity.strip("`")] = names, set(re.findall(r"`(\w+)`", columns)), only_if
+            # The file has the last part of the path that is not a placeholder, as it logs it.
+            last = next(p for p in (*entity.strip("`").split("/")[::-1], "") if p != "*")
+            assert last in (ROOT / by.strip("`")).read_text("utf-8").lower(), (entity, by)
+        found: dict[str, tuple[set[str], set[str]]] = {}
+        for chunk in RrdReader(finished / name).stream():
+            path = chunk.entity_path
+            if path.startswith("/__"):
+                continue
+            path = path if path in documented else next(p for p in documented if matches(p, path))
+            schema_of, columns_of = found.setdefault(path, (set(), set()))
+            schema_of |= {"static"} if chunk.is_static else set(chunk.timeline_names)
+            for column in chunk.to_record_batch().schema.names:
+                archetype, _, component = column.rpartition(":")
+                if archetype:
+                    schema_of.add(archetype)
+                elif component not in (*chunk.timeline_names, "rerun.controls.RowId"):
+                    columns_of.add(component)
+        for path, (schema_of, columns_of) in found.items():
+            assert schema_of <= documented[path][0], path
+            assert columns_of <= documented[path][1], path
+        for path, (schema_in, columns_in, only_if) in documented.items():
+            if not only_if:
+                assert found[path] == (schema_in, columns_in), path
+            elif path in found and only_if != "any":
+                assert found[path][1] == columns_in, path
+
+
+def matches(pattern: str, path: str) -> bool:
+    return re.fullmatch(pattern.replace("*", "[^/]+"), path) is not None

@@ -88,7 +88,7 @@ def test_without_a_display_one_line_says_how_to_see_it_elsewhere(
         view([run])
     said = str(error.value)
     assert "\n" not in said
-    for words in ("no display", f"view --web {run}", str(run / "recording.rrd"), f"rerun-sdk=={rr.__version__}"):
+    for words in ("no display found", f"view --web {run}", str(run / "recording.rrd"), f"rerun-sdk=={rr.__version__}"):
         assert words in said
 
 
