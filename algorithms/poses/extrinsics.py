@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan
@@ -73,8 +72,7 @@ def refine_extrinsics(
     points_base, stamp_ns = _returns(scans, T_base_sensor, returns_max)
     if len(patches.centre) < _RETURNS_MIN or len(points_base) < _RETURNS_MIN:
         return None
-    tree = cKDTree(patches.centre)
-    matched = _Matched.of(points_base, stamp_ns, trajectory, patches, tree, REACH_M)
+    matched = _Matched.of(points_base, stamp_ns, trajectory, patches, REACH_M)
     x, count = np.zeros(7), len(matched.points_base)
     rms_before_m = _rms(matched.distances(x))
     if rms_before_m <= agree_m and count >= _RETURNS_MIN:
@@ -84,7 +82,7 @@ def refine_extrinsics(
     for reach_m in _REACHES_M:
         points = transforms.apply(T_correction, points_base)
         times_ns = stamp_ns + round(1e9 * clock_s)
-        matched = _Matched.of(points, times_ns, trajectory, patches, tree, reach_m)
+        matched = _Matched.of(points, times_ns, trajectory, patches, reach_m)
         if len(matched.points_base) < _RETURNS_MIN:
             return None
         x = least_squares(
@@ -124,8 +122,7 @@ def surfaces_agreement(
     if not len(patches.centre) or not scans:
         return float("nan"), 0.0
     points_base, stamp_ns = _returns(scans, T_base_sensor, returns_max)
-    tree = cKDTree(patches.centre)
-    matched = _Matched.of(points_base, stamp_ns, trajectory, patches, tree, REACH_M)
+    matched = _Matched.of(points_base, stamp_ns, trajectory, patches, REACH_M)
     share = len(matched.points_base) / max(len(points_base), 1)
     return _rms(matched.distances(np.zeros(7))), share
 
@@ -170,13 +167,12 @@ class _Matched:
         stamp_ns: IntArray,
         trajectory: Trajectory,
         patches: Patches,
-        tree: cKDTree,
         reach_m: float,
     ) -> "_Matched":
         """Match points (n, 3) at times (n,) with the nearest patches within reach."""
         T = trajectory.at(stamp_ns)
         places = np.einsum("nij,nj->ni", T[:, :3, :3], points_base) + T[:, :3, 3]
-        distance_m, nearest = tree.query(places, distance_upper_bound=reach_m)
+        distance_m, nearest = patches.tree.query(places, distance_upper_bound=reach_m)
         near = np.isfinite(distance_m)
         before = trajectory.at(stamp_ns[near] - _STEP_NS)
         after = trajectory.at(stamp_ns[near] + _STEP_NS)

@@ -52,12 +52,6 @@ class OdometrySettings(StepSettings):
         description="Maximum number of returns; denser clouds are thinned evenly: this pose is "
         "only the refinement's first guess. KISS-ICP.",
     )
-    deskew: bool = Field(
-        True, description="Compensate the motion within a sweep if the cloud has times. KISS-ICP."
-    )
-    threads: int = Field(
-        1, ge=0, le=256, description="Number of threads; 1 is reproducible, 0: all cores. KISS-ICP."
-    )
 
 
 @dataclass(frozen=True)
@@ -222,15 +216,13 @@ def _configuration(settings: OdometrySettings) -> "KISSConfig":
 
     return KISSConfig(
         data=config.DataConfig(
-            max_range=settings.range_max_m,
-            min_range=settings.range_min_m,
-            deskew=settings.deskew,
+            max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=True
         ),
         mapping=config.MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=5),
         registration=config.RegistrationConfig(
             max_num_iterations=300,
             convergence_criterion=3e-3,  # m and rad
-            max_num_threads=settings.threads,
+            max_num_threads=1,  # reproducible
         ),
         adaptive_threshold=config.AdaptiveThresholdConfig(
             initial_threshold=0.5,  # m

@@ -1,6 +1,7 @@
 """Small planar patches of floors and walls among points."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,12 +12,17 @@ _THICKNESS_MAX_M, _BREADTH_MIN_M = 0.02, 0.05
 """Standard deviations (m) of a patch: maximum across it; minimum along it, less being a line."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Patches:
     """centre: (n, 3) metres; normal: (n, 3) unit vectors, of either sign."""
 
     centre: FloatArray
     normal: FloatArray
+
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Of the centres."""
+        return cKDTree(self.centre)
 
     @classmethod
     def of(cls, points: FloatArray, voxel_m: float, neighbours: int) -> "Patches":

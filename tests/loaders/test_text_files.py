@@ -102,7 +102,7 @@ def test_what_is_too_large_is_not_read(tmp_path: Path) -> None:
         "wall_planes.similarity_m=1e300",
         "wall_planes.similarity_m=" + "[" * 100_000,
         "grid_map.cell_m=1e-300",
-        "odometry.threads=2000000000",
+        "pose_graph.every_scans=-2000000000",
     ],
     ids=lambda word: word[:30],
 )
