@@ -1,16 +1,18 @@
-"""The building as a vector plan: walls with thickness, doors with their leaves, windows, columns, rooms."""
+"""The building as a vector plan: walls with thickness, doors with their leaves, windows, columns."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import shapely
+from scipy.ndimage import binary_dilation
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import lengths_m, main_direction_deg, turned
+from ffmap.algorithms.base.segments import Segment, lengths_m, main_direction_deg, turned
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.building.thickness import (
@@ -21,17 +23,20 @@ from ffmap.algorithms.building.thickness import (
     usual_thickness,
 )
 from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.maps.area_graph import Room
 from ffmap.algorithms.maps.areas import closed, grown
 from ffmap.algorithms.maps.furniture_free import Immobile
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
 
 _COLUMN_MAX_M = 1.2
-"""Maximum width (m) of a column: what stands free and has a corner."""
+"""Maximum width (m) of a free-standing column."""
 _PIECE_MIN_M = 0.5
-"""Minimum length (m) of a piece of wall that stands alone."""
+"""Minimum length (m) of an isolated piece of wall."""
 _CORNER_M = 0.12
-"""Maximum distance (m) of two faces' ends that make a corner."""
+"""Maximum distance (m) of two faces' ends that form a corner."""
+_WINDOW_WALL_M = 0.5
+"""Maximum distance (m) of a window from the wall whose thickness it has."""
 _DRAWN_SHARE_MIN = 0.5
 """Minimum share of a stretch of wall that the grid map shows for it to be drawn."""
 _TIDY_M = 0.02
@@ -42,38 +47,26 @@ _DOUBLE_DOOR_M = 1.25
 """Maximum width (m) of a doorway with one leaf."""
 _LEAF_SHARE_MIN = 0.6
 """Minimum share of an open leaf's area that is seen for its door to get a swing."""
-_LEAF_LOW_M = 0.4
-"""Minimum height above the floor (m) at which leaves are looked for."""
-_LEAF_HIGH_M = 1.8
-"""Maximum height above the floor (m) at which leaves are looked for."""
-_LEAF_MIN_DEG = 20.0
-"""Minimum angle (degrees) of an open leaf to its sill."""
-_LEAF_MAX_DEG = 175.0
-"""Maximum angle (degrees) of an open leaf to its sill."""
+_LEAF_M = (0.4, 1.8)
+"""Heights above the floor (m) between which leaves are detected."""
+_LEAF_ANGLES_DEG = np.arange(20.0, 180.0, 5.0)
+"""Angles of an open leaf to its sill that are examined."""
 _LEAF_THICKNESS_M = 0.05
 """Maximum distance (m) of a leaf's returns from its middle."""
+_LEAF_CELL_M = 0.1
+"""Edge (m) of the cells of a leaf whose returns are counted."""
 _HINGE_M = 0.15
-"""Distance (m) from the hinge within which nothing tells of a leaf."""
+"""Distance (m) from the hinge within which returns do not indicate a leaf."""
 _WALL_MARGIN_M = 0.1
-"""Distance (m) from the wall's face within which returns may be the wall's and tell of no leaf."""
-
-
-class RoomOnPlan(Protocol):
-    """What the plan shows of a room; polygon in metres of the map frame."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def polygon(self) -> shapely.Polygon: ...
-    @property
-    def area_m2(self) -> float: ...
+"""Distance (m) from the wall's face within which returns may belong to the wall."""
 
 
 @dataclass(frozen=True)
 class Leaf:
-    """A leaf that stood open. hinge, tip: (2,) in the map. swing_deg: from its closed place to where it stood, signed.
+    """An open leaf.
 
-    share: of its area that was seen.
+    hinge, tip: (2,) in the map. swing_deg: signed angle from closed to where it was seen. share:
+    of its area that was seen.
     """
 
     hinge: FloatArray
@@ -84,9 +77,10 @@ class Leaf:
 
 @dataclass(frozen=True)
 class PlanDoor:
-    """outline: what the doorway cuts out of the wall. sill: (2, 2) jambs, on the face in which it was seen.
+    """A door on the plan.
 
-    closed: (2, 2) where a closed leaf stands. leaves: those that were seen open; none leaves the swing unknown.
+    outline: what the doorway cuts out of the wall. sill: (2, 2) jambs, on the face in which the
+    door was seen. closed: (2, 2) a closed leaf. leaves: open leaves; none if the swing is unknown.
     """
 
     outline: shapely.Polygon
@@ -98,11 +92,11 @@ class PlanDoor:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """Everything in metres of the map frame.
+    """The plan, in metres of the map frame.
 
-    walls: areas of walls that were seen from both sides. assumed: of walls that were seen from one side, as thick as
-    their doorways are deep, else with the building's usual thickness. columns: their outlines. windows: what they cut
-    out of a wall. direction_deg: of most walls, against the x axis; see `main_direction_deg`.
+    walls: areas of walls that were seen from both sides. assumed: of walls that were seen from one
+    side, as thick as their doorways are deep, else with the building's usual thickness. windows:
+    what they cut out of walls. direction_deg: see `main_direction_deg`.
     """
 
     walls: tuple[shapely.Polygon, ...]
@@ -110,67 +104,54 @@ class FloorPlan:
     columns: tuple[shapely.Polygon, ...]
     doors: tuple[PlanDoor, ...]
     windows: tuple[shapely.Polygon, ...]
-    rooms: tuple[RoomOnPlan, ...]
+    rooms: tuple[Room, ...]
     direction_deg: float
 
 
 def draw_floor_plan(
-    stretches: Walls,
+    standing: Walls,
     immobile: Immobile,
     grid: GridMap,
     storey: Storey,
     thickness: WallThicknessSettings,
-    rooms: Sequence[RoomOnPlan] = (),
+    rooms: Sequence[Room] = (),
 ) -> FloorPlan:
-    """The plan of a building.
+    """Draw the plan of a building.
 
-    stretches: `grid_map.standing_stretches`. grid: the furniture-free one; what it does not show is not drawn.
-    storey: the floor that open leaves stand on.
+    standing: see `standing_stretches`. grid: the furniture-free grid; what it does not show is not
+    drawn. storey: the floor on which open leaves stand.
     """
-    stretches = stretches.select(_shown(stretches, grid))
+    stretches = standing.select(_shown(standing, grid))
     doors = immobile.doors
-    of_walls = part_walls(immobile.walls, thickness)
     parts = part_walls(stretches, thickness)
     usual_m = usual_thickness(parts, thickness.unseen_m)
     assumed_m = _assumed_thickness(stretches, doors, usual_m)
-    # A doorway is cut out of the wall as it is drawn, where both faces of that were seen.
-    drawn_m = face_thickness(immobile.walls, of_walls)[doors.wall]
-    cut_m = np.where(np.isfinite(drawn_m), drawn_m, doors.reveal_m)
     columns, in_column = _columns(stretches)
-    upright = _upright(immobile.votes, storey)
-    outlines = [_quad(doors.ends[d], doors.normal[d], float(cut_m[d])) for d in range(len(doors))]
+    outlines = _doorways(immobile, thickness)
     windows = [
-        _quad(ends, normal, _thickness_at(ends, parts, stretches, usual_m))
+        _behind(ends, normal, _thickness_at(ends, parts, stretches, usual_m))
         for ends, normal in zip(immobile.windows.ends, immobile.windows.normal, strict=True)
     ]
     cuts = shapely.union_all([*(grown(o, _TIDY_M / 2) for o in outlines), *windows, *columns])
-    in_wall = ~in_column & ~_fragments(stretches)
-    solid = _bodies(
-        stretches, parts, assumed_m, in_wall[parts.wall] & np.isfinite(parts.thickness_m)
+    in_wall = (~in_column & ~_fragments(stretches))[parts.wall]
+    measured = np.isfinite(parts.thickness_m)
+    walls, assumed = (
+        _bodies(stretches, parts, assumed_m, in_wall & chosen).difference(cuts)
+        for chosen in (measured, ~measured)
     )
-    assumed = _bodies(
-        stretches, parts, assumed_m, in_wall[parts.wall] & ~np.isfinite(parts.thickness_m)
-    )
-    solid = solid.difference(cuts)
-    assumed = assumed.difference(cuts).difference(solid)
+    upright = _upright(immobile.votes, storey)
+    plan_doors = []
+    for d, outline in enumerate(outlines):
+        sill, state = Segment.between(doors.ends[d], doors.normal[d]), DoorState(int(doors.state[d]))
+        is_open = state == DoorState.OPEN
+        leaves = _find_leaves(sill, float(doors.reveal_m[d]), upright) if is_open else ()
+        shut = doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * sill.normal
+        plan_doors.append(PlanDoor(outline, doors.ends[d], shut, state, leaves))
     return FloorPlan(
-        walls=tuple(_polygons(solid, _SLIVER_M2)),
-        assumed=tuple(_polygons(assumed, _SLIVER_M2)),
+        walls=_pieces(walls),
+        assumed=_pieces(assumed.difference(walls)),
         columns=tuple(columns),
-        doors=tuple(
-            PlanDoor(
-                outline=outlines[d],
-                sill=doors.ends[d],
-                closed=doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * doors.normal[d],
-                state=DoorState(int(doors.state[d])),
-                leaves=_find_leaves(
-                    doors.ends[d], doors.normal[d], float(doors.reveal_m[d]), upright
-                )
-                if doors.state[d] == DoorState.OPEN
-                else (),
-            )
-            for d in range(len(doors))
-        ),
+        doors=tuple(plan_doors),
         windows=tuple(windows),
         rooms=tuple(rooms),
         direction_deg=main_direction_deg(immobile.walls.ends),
@@ -178,24 +159,25 @@ def draw_floor_plan(
 
 
 def _shown(stretches: Walls, grid: GridMap) -> BoolArray:
-    """(W,) whether the grid shows most of each stretch; it leaves out what bounds no free space."""
-    shown = np.zeros(len(stretches), bool)
-    near = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    for w, ends in enumerate(stretches.ends):
-        count = max(2, int(np.linalg.norm(ends[1] - ends[0]) / grid.cell_m))
-        places = ends[0] + np.linspace(0, 1, count)[:, None] * (ends[1] - ends[0])
-        index = np.floor((places - grid.origin) / grid.cell_m).astype(int)[:, None] + near
-        index = np.clip(index, 0, np.array(grid.cells.shape[::-1]) - 1)
-        occupied = grid.cells[index[..., 1], index[..., 0]] == Cell.OCCUPIED
-        shown[w] = occupied.any(axis=1).mean() >= _DRAWN_SHARE_MIN
-    return shown
+    """(W,) whether the grid shows most of each stretch; it hides walls that bound no free space."""
+    occupied = binary_dilation(grid.cells == Cell.OCCUPIED)
+    shares = [occupied[grid.on_line(ends)] for ends in stretches.ends]
+    return np.array([len(on) > 0 and on.mean() >= _DRAWN_SHARE_MIN for on in shares], bool)
+
+
+def _doorways(immobile: Immobile, thickness: WallThicknessSettings) -> list[shapely.Polygon]:
+    """What each doorway cuts out of its wall: all of it, where both faces of that were seen."""
+    doors, walls = immobile.doors, immobile.walls
+    measured_m = face_thickness(walls, part_walls(walls, thickness))[doors.wall]
+    depth_m = np.where(np.isfinite(measured_m), measured_m, doors.reveal_m)
+    return [_behind(*own) for own in zip(doors.ends, doors.normal, depth_m, strict=True)]
 
 
 def _assumed_thickness(stretches: Walls, doors: Doors, usual_m: float) -> FloatArray:
-    """(W,) how thick the wall behind each stretch is taken for where one side was seen: as its doorways are deep."""
+    """(W,) thickness of the wall behind each stretch, as its doorways are deep, else as usual."""
     assumed_m = np.full(len(stretches), usual_m)
-    for w, (start, normal) in enumerate(zip(stretches.ends[:, 0], stretches.normal, strict=True)):
-        off_m = np.abs((doors.ends - start) @ normal).max(axis=1)
+    for w, (ends, normal) in enumerate(zip(stretches.ends, stretches.normal, strict=True)):
+        off_m = np.abs((doors.ends - ends[0]) @ normal).max(axis=1)
         own = (off_m < _CORNER_M) & (doors.normal @ normal > 0.5)
         if own.any():
             assumed_m[w] = np.median(doors.reveal_m[own])
@@ -205,22 +187,21 @@ def _assumed_thickness(stretches: Walls, doors: Doors, usual_m: float) -> FloatA
 def _bodies(
     stretches: Walls, parts: WallParts, assumed_m: FloatArray, chosen: BoolArray
 ) -> BaseGeometry:
-    """The union of the areas behind some parts of the faces, carried on around the corners of rooms."""
+    """The union of the areas behind some parts of the faces, continued around rooms' corners."""
     bodies = []
     for p in np.flatnonzero(chosen):
         w = int(parts.wall[p])
-        depth_m = float(parts.thickness_m[p]) if np.isfinite(parts.thickness_m[p]) else float(assumed_m[w])
+        known_m = float(parts.thickness_m[p])
         ends = parts.ends[p].copy()
         along = (ends[1] - ends[0]) / max(float(np.linalg.norm(ends[1] - ends[0])), 1e-9)
         for end, outwards in ((0, -along), (1, along)):
-            corner = _corner_thickness(ends[end], outwards, w, stretches, parts, assumed_m)
-            ends[end] = ends[end] + corner * outwards
-        bodies.append(_quad(ends, stretches.normal[w], depth_m))
-    joined = shapely.union_all(bodies)
-    return closed(joined, _TIDY_M).simplify(1e-3)
+            ends[end] += _corner_m(ends[end], outwards, w, stretches, parts, assumed_m) * outwards
+        depth_m = known_m if np.isfinite(known_m) else float(assumed_m[w])
+        bodies.append(_behind(ends, stretches.normal[w], depth_m))
+    return closed(shapely.union_all(bodies), _TIDY_M).simplify(1e-3)
 
 
-def _corner_thickness(
+def _corner_m(
     end: FloatArray,
     outwards: FloatArray,
     w: int,
@@ -228,35 +209,33 @@ def _corner_thickness(
     parts: WallParts,
     assumed_m: FloatArray,
 ) -> float:
-    """How far a wall goes on beyond the end of its face: through the wall that it meets at a room's inner corner."""
-    for o in range(len(stretches)):
-        # The other face looks back along this one: both bound the same room.
-        if o == w or stretches.normal[o] @ outwards > -0.5:
-            continue
-        if np.linalg.norm(stretches.ends[o] - end, axis=1).min() < _CORNER_M:
-            own = parts.thickness_m[parts.wall == o]
-            return float(np.nanmedian(own)) if np.isfinite(own).any() else float(assumed_m[o])
-    return 0.0
+    """How far (m) a wall continues at an inner corner: through the wall that it meets there."""
+    # The other face looks back along this one: both bound the same room.
+    meets = stretches.normal @ outwards <= -0.5
+    meets &= np.linalg.norm(stretches.ends - end, axis=2).min(axis=1) < _CORNER_M
+    meets[w] = False
+    if not meets.any():
+        return 0.0
+    other = int(meets.argmax())
+    own = parts.thickness_m[parts.wall == other]
+    return float(np.nanmedian(own)) if np.isfinite(own).any() else float(assumed_m[other])
 
 
 def _thickness_at(ends: FloatArray, parts: WallParts, stretches: Walls, usual_m: float) -> float:
-    """Thickness of the wall that a window lies in."""
-    middle = ends.mean(axis=0)
-    best, nearest = usual_m, 0.5
-    for p in np.flatnonzero(np.isfinite(parts.thickness_m)):
-        line = shapely.LineString(parts.ends[p])
-        distance = float(line.distance(shapely.Point(middle)))
-        parallel = abs(stretches.normal[parts.wall[p]] @ (ends[1] - ends[0])) < 0.1 * np.linalg.norm(ends[1] - ends[0])
-        if parallel and distance < nearest:
-            best, nearest = float(parts.thickness_m[p]), distance
-    return best
+    """Thickness of the wall around a window."""
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    middle = shapely.Point(ends.mean(axis=0))
+    away_m = shapely.distance(shapely.linestrings(parts.ends), middle)
+    usable = np.isfinite(parts.thickness_m) & (away_m < _WINDOW_WALL_M)
+    usable &= np.abs(stretches.normal[parts.wall] @ along) < 0.1
+    if not usable.any():
+        return usual_m
+    return float(parts.thickness_m[np.where(usable, away_m, np.inf).argmin()])
 
 
 def _columns(stretches: Walls) -> tuple[list[shapely.Polygon], BoolArray]:
     """Free-standing columns, and which stretches (W,) are their faces."""
     in_column = np.zeros(len(stretches), bool)
-    if not len(stretches):
-        return [], in_column
     group = _groups(stretches, _CORNER_M)
     columns = []
     for g in np.unique(group):
@@ -264,102 +243,92 @@ def _columns(stretches: Walls) -> tuple[list[shapely.Polygon], BoolArray]:
         normal, ends = stretches.normal[members], stretches.ends[members]
         if np.abs(normal @ normal[0]).min() > 0.5:
             continue
-        # Square to its longest face: around two faces alone the smallest rectangle would lie aslant.
+        # Square to its longest face: the smallest rectangle around two faces alone is slanted.
         across = normal[np.argmax(lengths_m(ends))]
         axes = np.array([[-across[1], across[0]], across])
         places = ends.reshape(-1, 2) @ axes.T
-        (low_x, low_y), (high_x, high_y) = places.min(axis=0), places.max(axis=0)
-        corners = np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]]) @ axes
-        # A column's faces look away from each other; a niche's, or a small room's, look at each other.
-        outward = np.einsum("ij,ij->i", ends.mean(axis=1) - corners.mean(axis=0), normal) > -1e-6
-        if max(high_x - low_x, high_y - low_y) <= _COLUMN_MAX_M and outward.all():
+        low, high = places.min(axis=0), places.max(axis=0)
+        corners = shapely.get_coordinates(shapely.box(*low, *high)) @ axes
+        # A column's faces look away from each other; those of a niche look at each other.
+        off = ends.mean(axis=1) - corners[:-1].mean(axis=0)
+        outward = np.einsum("ij,ij->i", off, normal) > -1e-6
+        if (high - low).max() <= _COLUMN_MAX_M and outward.all():
             columns.append(shapely.Polygon(corners))
             in_column[members] = True
     return columns, in_column
 
 
 def _fragments(stretches: Walls) -> BoolArray:
-    """(W,) which stretches stand alone and are short."""
+    """(W,) which stretches are isolated and short."""
     group = _groups(stretches, _PIECE_MIN_M)
-    length_m = lengths_m(stretches.ends)
-    return np.bincount(group, length_m, len(stretches))[group] < _PIECE_MIN_M
+    return np.bincount(group, lengths_m(stretches.ends), len(stretches))[group] < _PIECE_MIN_M
 
 
 def _groups(stretches: Walls, apart_m: float) -> IntArray:
-    """(W,) a number that those stretches share which stand together, each near to the next."""
-    lines = [shapely.LineString(ends) for ends in stretches.ends]
-    group = np.arange(len(lines))
-    if not lines:
-        return group
-    for a, b in shapely.STRtree(lines).query(lines, predicate="dwithin", distance=apart_m).T:
-        group[group == group[b]] = group[a]
-    return group
+    """(W,) a number for each group of stretches, each of which is near to the next."""
+    lines = shapely.linestrings(stretches.ends)
+    pairs = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=apart_m)
+    graph = csr_array((np.ones(pairs.shape[1]), pairs), (len(lines), len(lines)))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
 def _upright(votes: VoxelVotes, storey: Storey) -> FloatArray:
-    """(n, 3) x, y and the height above the floor of the cubes that may be of leaves: neither floor nor ceiling."""
+    """(n, 3) x, y and height above the floor of voxels that may belong to leaves."""
     label = votes.label
     places = votes.mean_position[(label != Label.FLOOR) & (label != Label.CEILING)]
     height_m = places[:, 2] - storey.ground_m(places[:, :2])
-    between = (height_m > _LEAF_LOW_M) & (height_m < _LEAF_HIGH_M)
+    between = (height_m > _LEAF_M[0]) & (height_m < _LEAF_M[1])
     return np.column_stack([places[between, :2], height_m[between]])
 
 
-def _find_leaves(
-    sill: FloatArray, normal: FloatArray, depth_m: float, upright: FloatArray
-) -> tuple[Leaf, ...]:
-    """The leaves of an open door, by what stands upright from one of its jambs, as long as the doorway is wide.
+def _find_leaves(sill: Segment, depth_m: float, upright: FloatArray) -> tuple[Leaf, ...]:
+    """Detect the leaves of an open door: upright surfaces at a jamb, as long as the door is wide.
 
-    Tried is every angle at every jamb to both sides; one leaf hangs at each jamb at most, and a single one at one of them.
+    Examines every angle at every jamb to both sides. A double door has a leaf at either jamb at
+    most, a single door one leaf.
     """
-    width_m = float(np.linalg.norm(sill[1] - sill[0]))
+    width_m = sill.length_m
     double = width_m > _DOUBLE_DOOR_M
     length_m = width_m / 2 if double else width_m
-    points = upright[np.linalg.norm(upright[:, :2] - sill.mean(axis=0), axis=1) < 1.5 * width_m + depth_m]
-    found: list[tuple[int, Leaf]] = []
-    for jamb in (0, 1):
+    middle = sill.at(np.array([width_m / 2]))
+    near = np.linalg.norm(upright[:, :2] - middle, axis=1) < 1.5 * width_m + depth_m
+    points = upright[near]
+    found: list[Leaf] = []
+    for jamb, towards in ((0.0, sill.along), (width_m, -sill.along)):
+        # Turning towards the front is counter-clockwise at one jamb and clockwise at the other.
+        front = float(np.sign(towards[0] * sill.normal[1] - towards[1] * sill.normal[0]))
         candidates = []
-        for side in (0.0, depth_m):
-            hinge = sill[jamb] - side * normal
-            for angle in np.arange(_LEAF_MIN_DEG, _LEAF_MAX_DEG + 1.0, 5.0):
-                # Turning towards the front is counter-clockwise at one jamb and clockwise at the other.
-                towards = sill[1 - jamb] - sill[jamb]
-                front = float(np.sign(towards[0] * normal[1] - towards[1] * normal[0]))
-                swing = float(angle) * front * (1.0 if side == 0.0 else -1.0)
-                direction = turned(towards / width_m, swing)
-                # From there on a leaf is clear of the wall's own returns.
-                start_m = max(_WALL_MARGIN_M / max(abs(float(direction @ normal)), 1e-9), _HINGE_M)
-                if start_m > 0.5 * length_m:
-                    continue
-                share = _covered(points - np.append(hinge, 0.0), direction, start_m, length_m)
-                candidates.append((share, Leaf(hinge, hinge + length_m * direction, swing, share)))
-        if not candidates:
-            continue
-        share, leaf = max(candidates, key=lambda candidate: candidate[0])
-        if share >= _LEAF_SHARE_MIN:
-            found.append((jamb, leaf))
-    if not double and len(found) > 1:
-        found = [max(found, key=lambda jamb_leaf: jamb_leaf[1].share)]
-    return tuple(leaf for _, leaf in found)
+        for side_m, turn in ((0.0, front), (depth_m, -front)):
+            hinge = sill.start + jamb * sill.along - side_m * sill.normal
+            for swing in turn * _LEAF_ANGLES_DEG:
+                along = turned(towards, swing)
+                # From here on a leaf is clear of the wall's own returns.
+                start_m = max(_WALL_MARGIN_M / max(abs(along @ sill.normal), 1e-9), _HINGE_M)
+                if start_m <= 0.5 * length_m:
+                    share = _covered(points - np.append(hinge, 0.0), along, start_m, length_m)
+                    candidates.append(Leaf(hinge, hinge + length_m * along, float(swing), share))
+        best = max(candidates, key=lambda leaf: leaf.share, default=None)
+        if best is not None and best.share >= _LEAF_SHARE_MIN:
+            found.append(best)
+    return tuple(found if double else sorted(found, key=lambda leaf: -leaf.share)[:1])
 
 
-def _covered(points: FloatArray, direction: FloatArray, start_m: float, length_m: float) -> float:
-    """Share of the 10 cm cells of an upright panel, between two distances from its hinge, that hold points seen from there."""
-    cell_m = 0.1
-    along = points[:, :2] @ direction
-    across = np.abs(points[:, 0] * direction[1] - points[:, 1] * direction[0])
-    on = (across < _LEAF_THICKNESS_M) & (along > start_m) & (along < length_m)
-    columns = max(int((length_m - start_m) / cell_m), 1)
-    rows = int((_LEAF_HIGH_M - _LEAF_LOW_M) / cell_m)
-    column = np.minimum(((along[on] - start_m) / cell_m).astype(int), columns - 1)
-    row = np.minimum(((points[on, 2] - _LEAF_LOW_M) / cell_m).astype(int), rows - 1)
+def _covered(points: FloatArray, along: FloatArray, start_m: float, length_m: float) -> float:
+    """Share of a leaf's cells, between two distances from its hinge, that hold points (n, 3)."""
+    place_m = points[:, :2] @ along
+    across_m = np.abs(points[:, 0] * along[1] - points[:, 1] * along[0])
+    on = (across_m < _LEAF_THICKNESS_M) & (place_m > start_m) & (place_m < length_m)
+    columns = max(int((length_m - start_m) / _LEAF_CELL_M), 1)
+    rows = int((_LEAF_M[1] - _LEAF_M[0]) / _LEAF_CELL_M)
+    column = np.minimum(((place_m[on] - start_m) / _LEAF_CELL_M).astype(int), columns - 1)
+    row = np.minimum(((points[on, 2] - _LEAF_M[0]) / _LEAF_CELL_M).astype(int), rows - 1)
     return len(np.unique(column * rows + row)) / (columns * rows)
 
 
-def _quad(ends: FloatArray, normal: FloatArray, depth_m: float) -> shapely.Polygon:
-    """What lies behind a stretch of a face."""
+def _behind(ends: FloatArray, normal: FloatArray, depth_m: float) -> shapely.Polygon:
+    """The rectangle behind a stretch of a face."""
     return shapely.Polygon(np.concatenate([ends, ends[::-1] - depth_m * normal]))
 
 
-def _polygons(area: BaseGeometry, min_m2: float) -> Iterable[shapely.Polygon]:
-    return (p for p in getattr(area, "geoms", [area]) if p.geom_type == "Polygon" and p.area > min_m2)
+def _pieces(area: BaseGeometry) -> tuple[shapely.Polygon, ...]:
+    return tuple(piece for piece in shapely.get_parts(area) if piece.area > _SLIVER_M2)

@@ -1,7 +1,7 @@
 """The plan's files, read back: what is drawn where, in what units, on which layers."""
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,19 +11,13 @@ import pytest
 import shapely
 
 from ffmap.algorithms.base.segments import turned
+from ffmap.algorithms.maps.area_graph import Room
 from ffmap.algorithms.maps.floor_plan import FloorPlan, Leaf, PlanDoor
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.folder.pictures import INCHES_PER_M, PLAN_STYLES, write_floor_plan
 from ffmap.app.folder.plan_dxf import LAYERS, write_dxf
 
 SVG = "{http://www.w3.org/2000/svg}"
-
-
-@dataclass(frozen=True)
-class Room:
-    name: str
-    polygon: shapely.Polygon
-    area_m2: float
 
 
 def door(state: DoorState, x: float, leaves: tuple[Leaf, ...] = ()) -> PlanDoor:
@@ -41,7 +35,7 @@ PLAN = FloorPlan(
     columns=(shapely.box(5.0, 2.0, 5.4, 2.4),),
     doors=(door(DoorState.OPEN, 1.0, (LEAF,)), door(DoorState.CLOSED, 2.0), door(DoorState.OPEN, -1.5)),
     windows=(shapely.box(4.0, 0.0, 5.0, 0.2),),
-    rooms=(Room("Room 1", shapely.box(3.2, 0.2, 7.8, 3.8), 16.56), Room("<R&D>", shapely.box(0, 0.2, 3, 4), 11.4)),
+    rooms=(Room("Room 1", shapely.box(3.2, 0.2, 7.8, 3.8), 16.56, ()), Room("<R&D>", shapely.box(0, 0.2, 3, 4), 11.4, ())),
     direction_deg=0.0,
 )
 EMPTY = FloorPlan((), (), (), (), (), (), 0.0)
@@ -65,7 +59,7 @@ def turned_plan() -> FloorPlan:
         for d in PLAN.doors
     )
     parts = [tuple(area(p) for p in own) for own in (PLAN.walls, PLAN.assumed, PLAN.columns, PLAN.windows)]
-    rooms = tuple(Room(room.name, area(room.polygon), room.area_m2) for room in PLAN.rooms)
+    rooms = tuple(replace(room, polygon=area(room.polygon)) for room in PLAN.rooms)
     return FloorPlan(parts[0], parts[1], parts[2], doors, parts[3], rooms, TURN_DEG)
 
 
