@@ -1,1 +1,1 @@
-"""Maps of the building: the furniture-free grid and the paper's rivals (IV.C), rooms (IV.D), the floor plan."""
+"""Maps of a building: grids (paper, IV.C), rooms (IV.D) and the floor plan."""

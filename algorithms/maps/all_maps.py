@@ -1,4 +1,4 @@
-"""Every map of the building: the furniture-free grid, its rooms, the floor plan, and the maps that the paper compares with."""
+"""All maps of a building: the furniture-free grid, its rooms, the floor plan, and the rivals."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -41,8 +41,8 @@ class MapsSettings:
 class Maps:
     """All maps of a building.
 
-    grid: the furniture-free one. rooms: its rooms. rivals: the paper's other maps (Fig. 6, Fig. 9c, d), of the same extent.
-    compared_rooms: rooms of a rival (Fig. 10), found without any door known. plan: the floor plan.
+    grid: the furniture-free map. rooms: its rooms. rivals: the paper's other maps (Fig. 6, Fig. 9c,
+    d), of the same extent. compared_rooms: rooms of a rival (Fig. 10), without detected doors.
     """
 
     grid: GridMap

@@ -244,7 +244,7 @@ def _closed(part: GridMap, doorways: FloatArray, windows: FloatArray) -> BoolArr
 
 
 def _to_nearest_obstacle(free: BoolArray) -> tuple[FloatArray, IntArray]:
-    """float32 distance (cells) of each cell to the nearest that is not free, and (2, …) its index.
+    """float32 distance (cells) of each cell to the nearest obstacle, and (2, …) that cell.
 
     SciPy's own distances are float64 with several copies, and take longer than the transform.
     """
@@ -334,8 +334,10 @@ def _basins(
     and column. ratio, widest: maximum width of a passage, as a share of the narrower basin's, and
     in cells.
     """
-    summits, _ = ndimage.label(local_maxima(distance) & free, _EIGHT)  # type: ignore[no-untyped-call]
-    basins = np.asarray(watershed(-distance, summits, mask=free), np.int32)  # type: ignore[no-untyped-call]
+    maxima = local_maxima(distance)  # type: ignore[no-untyped-call]
+    summits, _ = ndimage.label(maxima & free, _EIGHT)
+    flooded = watershed(-distance, summits, mask=free)  # type: ignore[no-untyped-call]
+    basins = np.asarray(flooded, np.int32)
     size = np.bincount(basins.ravel())
     height = np.zeros(len(size), np.float32)
     height[summits[summits > 0]] = distance[summits > 0]
@@ -361,7 +363,7 @@ def _basins(
 
 
 def _saddles(basins: IntArray, distance: FloatArray) -> list[tuple[int, int, tuple[int, int]]]:
-    """Pairs of neighbouring basins and the widest cell of the opening between them, widest first."""
+    """Pairs of neighbouring basins and the widest cell between them, the widest first."""
     flat, height = basins.ravel(), distance.ravel()
     pairs, cells = [], []
     for step in (1, basins.shape[1]):

@@ -1,4 +1,4 @@
-"""The building as a vector plan: walls with thickness, doors with their leaves, windows, columns."""
+"""The building as a vector plan: walls with thickness, doors with leaves, windows, columns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -142,7 +142,8 @@ def draw_floor_plan(
     upright = _upright(immobile.votes, storey)
     plan_doors = []
     for d, outline in enumerate(outlines):
-        sill, state = Segment.between(doors.ends[d], doors.normal[d]), DoorState(int(doors.state[d]))
+        sill = Segment.between(doors.ends[d], doors.normal[d])
+        state = DoorState(int(doors.state[d]))
         is_open = state == DoorState.OPEN
         leaves = _find_leaves(sill, float(doors.reveal_m[d]), upright) if is_open else ()
         shut = doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * sill.normal

@@ -1,4 +1,4 @@
-"""What the furniture-free grid shows as occupied: walls as thin lines, doorways cut out (Fig. 9b)."""
+"""Occupied cells of the furniture-free grid: walls as thin lines, doorways cut out (Fig. 9b)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

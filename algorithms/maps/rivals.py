@@ -1,6 +1,7 @@
-"""The maps that the paper compares its own with: slices of the cloud, and single kinds of structure (Fig. 6, Fig. 9c, d).
+"""The maps with which the paper compares its own: slices of the cloud, and single structures.
 
-What they need of a scan is counted by cells of the ground as soon as it is labelled, so that it grows with the building.
+Returns of a scan are counted by cells of the ground when it is labelled, so that memory grows with
+the building only (Fig. 6, Fig. 9c, d).
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ _HITS_MIN = 3
 
 
 class Rival(StrEnum):
-    """The maps beside the furniture-free one, in the order of the votes' codes."""
+    """The maps beside the furniture-free map, in the order of the votes' codes."""
 
     BELOW_CEILING = "below_ceiling"  # a slice close under the ceiling (Fig. 9c)
     MIDDLE = "middle"  # a slice halfway up, as of a 2-D lidar: the normal map (Fig. 9d)
@@ -36,9 +37,10 @@ class Rival(StrEnum):
 
 @dataclass(frozen=True)
 class RivalReturns:
-    """What the rivals need of a scan.
+    """The returns of a scan that occupy cells of the rivals.
 
-    row: (k,) int32, returns of the scan, as often as each counts. rival: (k,) uint8, for which, by its place in `Rival`.
+    row: (k,) int32 return of the scan. rival: (k,) uint8 rival in which it counts, by its place in
+    `Rival`.
     """
 
     row: IntArray
@@ -46,7 +48,7 @@ class RivalReturns:
 
     @classmethod
     def of(cls, points_level: FloatArray, labelling: ScanLabelling) -> "RivalReturns":
-        """Those of a scan with these returns (n, 3). A slice needs a ceiling: a scan that saw none has none."""
+        """Choose returns (n, 3) of a scan; without a ceiling, a scan has no slices."""
         below_m = below_ceiling(points_level, labelling.ceiling_planes)
         structures, samples = labelling.structures, labelling.lines.samples
         rows: dict[Rival, IntArray] = {
@@ -57,16 +59,21 @@ class RivalReturns:
             Rival.MIDDLE: np.flatnonzero(np.abs(labelling.height_m - below_m) < _SLICE_M),
         }
         sample = np.arange(samples.shape[1])
-        for rival, structure in ((Rival.UPMOST, structures.upmost), (Rival.BOTTOMMOST, structures.bottommost)):
+        for rival, structure in (
+            (Rival.UPMOST, structures.upmost),
+            (Rival.BOTTOMMOST, structures.bottommost),
+        ):
             chosen = structure[structure >= 0]
-            first, last = structures.first[chosen], structures.last[chosen]
-            rows[rival] = samples[structures.line[chosen]][(sample >= first[:, None]) & (sample <= last[:, None])]
-        codes = [np.full(len(rows[rival]), code, np.uint8) for code, rival in enumerate(Rival)]
-        return cls(np.concatenate([rows[rival] for rival in Rival]).astype(np.int32), np.concatenate(codes))
+            first, last = structures.first[chosen, None], structures.last[chosen, None]
+            within = (sample >= first) & (sample <= last)
+            rows[rival] = samples[structures.line[chosen]][within]
+        row = np.concatenate([rows[rival] for rival in Rival]).astype(np.int32)
+        codes = np.arange(len(Rival), dtype=np.uint8)
+        return cls(row, np.repeat(codes, [len(rows[rival]) for rival in Rival]))
 
 
 class RivalCounter:
-    """Counts returns by cell for each rival; one for each block of scans, whose votes add up."""
+    """Counts returns by cell for each rival; the votes of blocks of scans add up."""
 
     def __init__(self, cell_m: float) -> None:
         self._table = VoxelTable(cell_m, len(Rival))
@@ -78,7 +85,7 @@ class RivalCounter:
         self._table.add(flat, returns.rival)
 
     def votes(self) -> VoxelVotes:
-        """Returns by cell (its cube with index 0 along z) and rival, so far."""
+        """Returns by cell (a voxel with index 0 along z) and rival, so far."""
         return self._table.votes()
 
 

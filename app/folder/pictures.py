@@ -125,7 +125,7 @@ def _parts(plan: FloorPlan) -> dict[str, Sequence[shapely.Polygon | shapely.Line
 
 
 def extent(plan: FloorPlan) -> FloatArray:
-    """Compute the least x and y and the largest x and y (4,) of the upright plan; zeros if empty."""
+    """Compute least x, y and largest x, y (4,) of the upright plan; zeros if empty."""
     everything = shapely.GeometryCollection([part for own in _parts(plan).values() for part in own])
     upright = shapely.affinity.rotate(everything, -plan.direction_deg, origin=(0.0, 0.0))
     bounds: FloatArray = np.nan_to_num(shapely.bounds(upright))
@@ -204,7 +204,8 @@ def write_overlays(path: Path, compared: ComparedMaps, direction_deg: float) -> 
         for kind, label in _AGREEMENTS.items()
         if kind in found
     ]
-    title = f"Maps over the ground truth\na wall is right within {100 * WALL_TOLERANCE_M:g} cm"
+    tolerance = f"a wall is right within {100 * WALL_TOLERANCE_M:g} cm"
+    title = f"Maps over the ground truth, in metres\n{tolerance}"
     style = {"loc": "center", "fontsize": 22, "title_fontsize": 24, "frameon": False}
     panels[len(compared)].legend(handles=handles, title=title, **style)
     _save(path, figure)
@@ -221,7 +222,6 @@ def _draw_overlay(axes: "Axes", one: ComparedMap, direction_deg: float, px_per_m
     _show(axes, colours[agreement], grid.origin, factor * grid.cell_m, transform=turn)
     axes.set_facecolor(tuple(colours[Agreement.NOTHING] / 255))
     axes.tick_params(labelsize=14)
-    axes.set_xlabel("m", fontsize=14)
 
 
 def coarsened(agreement: UInt8Array, factor: int) -> UInt8Array:

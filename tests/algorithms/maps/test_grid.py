@@ -19,7 +19,7 @@ from ffmap.algorithms.maps.furniture_free import (
     standing_stretches,
 )
 from ffmap.algorithms.maps.grid import Cell, GridMap, GridMapSettings
-from ffmap.algorithms.truth.maps import WALL_TOLERANCE_M, blocked_doors
+from ffmap.algorithms.truth.maps import blocked_doors
 from tests.drawing import draw_cells, draw_furniture_free
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms, without
 
@@ -276,17 +276,6 @@ def test_the_leaf_of_an_open_door_is_no_wall_but_its_reveal_is() -> None:
     assert reach(proven) > y + 0.6
 
 
-def test_walls_are_right_to_ten_centimetres() -> None:
-    rooms = TwoRooms(turn_deg=33.0)
-    occupied = rooms.to_rooms(draw(*rooms.build()).centres(Cell.OCCUPIED))
-    distance = np.full(len(occupied), np.inf)
-    for a, b in [ends for ends, (low, _) in rooms.panels if low == 0.0]:
-        t = np.clip((occupied - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-        distance = np.minimum(distance, np.linalg.norm(occupied - a - t[:, None] * (b - a), axis=1))
-    assert (distance < WALL_TOLERANCE_M).mean() > 0.99
-    assert distance.mean() < 0.02
-
-
 def test_nothing_gives_an_unknown_map() -> None:
     rooms = TwoRooms()
     immobile, _ = rooms.build(without(rooms.doors))
@@ -309,17 +298,6 @@ def test_hidden_faces_need_no_space() -> None:
     margin = round(1.0 / SETTINGS.cell_m)
     np.testing.assert_array_equal(known.min(axis=0), margin)
     np.testing.assert_allclose(np.array(grid.cells.shape) - 1 - known.max(axis=0), margin, atol=1)
-
-
-def test_given_cells_are_occupied_and_rays_free_the_rest() -> None:
-    rooms = TwoRooms(both_seen=False)
-    _, drive = rooms.build()
-    cells = np.array([[20, 20], [70, 10], [-10, 70]])
-    grid = draw_cells(cells, NO_WINDOWS, drive, SETTINGS, KNEE_M)
-    occupied = np.sort(grid.centres(Cell.OCCUPIED), axis=0)
-    np.testing.assert_allclose(occupied, np.sort((cells + 0.5) * 0.05, axis=0), atol=1e-6)
-    assert (at(grid, rooms, np.array([[2.0, 0.7], [0.5, 2.5]])) == Cell.FREE).all()
-    assert (at(grid, rooms, np.array([[-0.2, 1.0]])) == Cell.UNKNOWN).all()
 
 
 def test_maps_that_are_drawn_together_are_as_if_each_were_alone() -> None:

@@ -149,32 +149,6 @@ def test_the_picture_and_the_recording_show_the_rooms(ffmap, tmp_path: Path) -> 
     assert set(edge.values()) == {"room 1", "room 2"}
 
 
-def test_an_images_transparent_pixels_and_unknown_ones_are_no_room(ffmap, tmp_path: Path) -> None:
-    pixels = two_rooms()
-    rgba = np.dstack([pixels, pixels, pixels, np.where(np.arange(220) < 101, 255, 0) * np.ones((140, 1))])
-    Image.fromarray(rgba.astype(np.uint8)).save(tmp_path / "half.png")
-    assert ffmap("rooms", "half.png", "--resolution", 0.05, "--out", "half")[0] == 0
-    (room,) = features(tmp_path / "half")
-    assert room["properties"]["area"] == pytest.approx(AREAS_M2["left"], rel=0.02)
-    path = save_map(tmp_path, two_rooms(outside=205, wall=205))  # 205 is under Nav2's default for free
-    assert ffmap("rooms", path, "--out", "unknown")[0] == 0
-    assert len(features(tmp_path / "unknown")) == 2
-
-
-@pytest.mark.parametrize(
-    ("description", "pixels"),
-    [
-        ({"negate": 1}, two_rooms(free=0, wall=255, outside=128)),
-        ({"mode": "raw"}, two_rooms(free=0, wall=100, outside=255)),
-        ({"mode": "scale", "free_thresh": 0.4}, two_rooms(free=170)),
-        ({"negate": True, "occupied_thresh": 0.3, "free_thresh": 0.1}, two_rooms(free=10, wall=90, outside=60)),
-    ],
-)
-def test_a_yaml_files_own_thresholds_hold(ffmap, tmp_path: Path, description: dict, pixels: np.ndarray) -> None:
-    assert ffmap("rooms", save_map(tmp_path, pixels, **description), "--out", "found")[0] == 0
-    assert len(features(tmp_path / "found")) == 2
-
-
 def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_path: Path) -> None:
     parted = two_rooms(free=255)
     parted[60:78, 100:102] = 120
@@ -241,21 +215,6 @@ def test_known_doors_part_rooms(ffmap, tmp_path: Path) -> None:
     assert [feature["properties"]["doors"] for feature in features(tmp_path / "with")] == [[0], [0]]
 
 
-def test_a_large_map_is_segmented_with_larger_cells(ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rooms_command, "CELLS_MAX", 8_000)
-    parted = two_rooms()
-    parted[60:78, 100:102] = 0
-    save(tmp_path / "truth.png", parted)
-    path = save_map(tmp_path, two_rooms())
-    code, _, err = ffmap("rooms", path, "--truth", "truth.png", "--out", "found")
-    assert code == 0
-    assert "cells of 0.1 m" in err
-    figures = json.loads((tmp_path / "found" / "metrics.json").read_text())["rooms"]
-    assert figures["found"] == 2
-    assert figures["recall"] > 0.9
-    assert figures["precision"] > 0.97
-
-
 def test_what_is_no_map_is_told_in_one_line(ffmap, tmp_path: Path) -> None:
     assert_one_line(ffmap("rooms", "nothing.png", "--resolution", 0.05), "nothing.png", "is not there")
     assert_one_line(ffmap("rooms", "nothing.yaml"), "nothing.yaml", "is not there")
@@ -282,32 +241,3 @@ def test_what_is_no_map_is_told_in_one_line(ffmap, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--out", "file"), "file", "--out")
     assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--set", "area_graph.nothing=1"), "nothing")
-
-
-@pytest.mark.parametrize(
-    ("wrong", "word"),
-    [
-        ({"image": "nothing.pgm"}, "nothing.pgm"),
-        ({"image": 7}, "image"),
-        ({"image": "map.yaml"}, "no image"),
-        ({"resolution": [1]}, "resolution"),
-        ({"resolution": -0.05}, "resolution"),
-        ({"resolution": float("inf")}, "resolution"),
-        ({"origin": "here"}, "origin"),
-        ({"origin": [0.0, float("nan"), 0.0]}, "origin"),
-        ({"origin": [0.0, 0.0, 0.5]}, "yaw"),
-        ({"mode": "colour"}, "mode"),
-        ({"occupied_thresh": 0.1, "free_thresh": 0.6}, "free_thresh"),
-    ],
-)
-def test_a_wrong_yaml_file_is_told_in_one_line(ffmap, tmp_path: Path, wrong: dict, word: str) -> None:
-    assert_one_line(ffmap("rooms", save_map(tmp_path, two_rooms(), **wrong)), word)
-
-
-def test_a_yaml_file_that_is_none_is_told_in_one_line(ffmap, tmp_path: Path) -> None:
-    path = tmp_path / "map.yaml"
-    marker = tmp_path / "run"
-    for text in ("- a\n- b\n", "image: [\n", "", f"image: !!python/object/apply:os.mkdir ['{marker}']\n", "\x00"):
-        path.write_text(text)
-        assert_one_line(ffmap("rooms", path), "map.yaml")
-    assert not marker.exists()
