@@ -304,7 +304,8 @@ def _find_leaves(sill: Segment, depth_m: float, upright: FloatArray) -> tuple[Le
             for swing in turn * _LEAF_ANGLES_DEG:
                 along = turned(towards, swing)
                 # From here on a leaf is clear of the wall's own returns.
-                start_m = max(_WALL_MARGIN_M / max(abs(along @ sill.normal), 1e-9), _HINGE_M)
+                off = abs(float(along @ sill.normal))
+                start_m = max(_WALL_MARGIN_M / max(off, 1e-9), _HINGE_M)
                 if start_m <= 0.5 * length_m:
                     share = _covered(points - np.append(hinge, 0.0), along, start_m, length_m)
                     candidates.append(Leaf(hinge, hinge + length_m * along, float(swing), share))
