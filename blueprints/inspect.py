@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.blueprints.entities import FAULT_CLASSES, LINE_TIMELINE, OPENINGS, PLANES, POINTS, Fault
-from ffmap.blueprints.views import WITHOUT_NAMES, layout, opening_at, space, text
+from ffmap.blueprints.views import WITHOUT_NAMES, differences, layout, opening_at, space, text
 
 _COLOR_NAMES = {
     Fault.OF_THE_SCAN: "cyan",
@@ -33,9 +33,7 @@ def build(
     seen = rrb.Vertical(
         _line_in_its_scan(range_m, faults, look_at_m),
         rrb.Horizontal(
-            rrb.Spatial2DView(
-                origin="/scan/differences", name="Its forward differences (eq. 2, Fig. 5b)"
-            ),
+            differences("Its forward differences (eq. 2, Fig. 5b)"),
             rrb.Spatial2DView(
                 origin="/profile",
                 name="Its profile: height over range, metres",

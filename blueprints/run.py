@@ -16,6 +16,7 @@ from ffmap.blueprints.views import (
     Part,
     aslant,
     behind_the_robot,
+    differences,
     following,
     from_above,
     layout,
@@ -91,7 +92,7 @@ def _overview(
     detected: list[Part] = [_scan("Wall planes and doors of the scan", [PLANES, OPENINGS], names)]
     if lines:
         title = "Point lines and wall planes; white: the line of the curve"
-        detected = [_scan(title, ["/scan/lines/**", PLANES, OPENINGS], names), _differences()]
+        detected = [_scan(title, ["/scan/lines/**", PLANES, OPENINGS], names), differences(_DIFFERENCES)]
     lidar = [text("/scan/lidar", "Lidar of the scan")] if several_lidars else []
     return rrb.Vertical(
         rrb.Horizontal(legend("/legend/labels", "Colours of the labels"), _glance(), *lidar),
@@ -116,10 +117,6 @@ def _scan(
     name: str, contents: list[str], overrides: Mapping[Any, Any] | None = None
 ) -> rrb.Spatial3DView:
     return space(name, contents, behind_the_robot(), "/scan", overrides)
-
-
-def _differences(name: str = _DIFFERENCES) -> rrb.Spatial2DView:
-    return rrb.Spatial2DView(origin="/scan/differences", name=name)
 
 
 def _map(centre_m: Centre, extent_m: float, growing: bool = False) -> rrb.Spatial3DView:
@@ -170,7 +167,7 @@ def _step_by_step() -> rrb.Container:
                 "2. Point lines (Fig. 5a): green wall, blue above a door, orange refused",
                 ["/scan/lines/**"],
             ),
-            _differences(f"3. {_DIFFERENCES}"),
+            differences(f"3. {_DIFFERENCES}"),
         ),
         rrb.Horizontal(
             _scan("4. Up-most structures: candidates (Fig. 6a)", [upmost]),

@@ -125,6 +125,12 @@ def until_now() -> rrb.VisibleTimeRanges:
     )
 
 
+def differences(name: str) -> rrb.Spatial2DView:
+    """Return the sheet of forward differences, see `app.record.curves`."""
+    bounds = rrb.VisualBounds2D(x_range=[-30.0, 670.0], y_range=[-215.0, 255.0])
+    return rrb.Spatial2DView(origin="/scan/differences", name=name, visual_bounds=bounds)
+
+
 def legend(origin: str, name: str) -> rrb.Spatial2DView:
     """Return a strip of coloured dots with names."""
     return rrb.Spatial2DView(origin=origin, name=name)

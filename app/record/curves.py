@@ -1,7 +1,8 @@
 """The forward differences of eq. 2: of all lines as an image, of one line as a curve (Fig. 5b).
 
-All are drawn on one sheet, in its own units, with y downwards: the curve above y = 0, and below
-it two images with a column for each point line and a row for each sample.
+All are drawn on one sheet, with y downwards, as `blueprints.views.differences` shows it: the
+curve above y = 0, and below it two images with a column for each point line and a row for each
+sample.
 """
 
 from itertools import pairwise
@@ -85,9 +86,6 @@ def log_color_scale(log: Log, slope_max: float) -> None:
         (_WIDTH - _IMAGE_WIDTH / 2, -22.0): "up-most green, bottom-most orange",
     }
     log.static("/scan/differences/titles", words(list(titles), list(titles.values())))
-    # The view shows all points, also invisible ones.
-    corners = [(-60.0, top - 50.0), (_WIDTH + 60.0, 262.0)]
-    log.static("/scan/differences/margin", rr.Points2D(corners, radii=0.0))
 
 
 def log_differences(log: Log, labelling: ScanLabelling) -> None:
