@@ -95,7 +95,7 @@ def _overview(
         detected = [_scan(title, ["/scan/lines/**", PLANES, OPENINGS], names), differences(_DIFFERENCES)]
     lidar = [text("/scan/lidar", "Lidar of the scan")] if several_lidars else []
     return rrb.Vertical(
-        rrb.Horizontal(legend("/legend/labels", "Colours of the labels"), _glance(), *lidar),
+        rrb.Horizontal(_label_legend(), _glance(), *lidar),
         rrb.Horizontal(
             _scan("Labelled scan", [POINTS, OPENINGS]), _map(centre_m, extent_m, growing)
         ),
@@ -107,6 +107,10 @@ def _overview(
         row_shares=[1, 5, 5],
         name="At a glance",
     )
+
+
+def _label_legend() -> rrb.View:
+    return legend("/legend/labels", "Colours of the labels", 6)
 
 
 def _glance() -> rrb.View:
@@ -210,7 +214,7 @@ def _building(centre_m: Centre, extent_m: float, first: bool) -> rrb.Container:
         overrides={**names, **overhead},
     )
     reasons = text("/world/building/reasons", "What was measured of doors, refused faces, windows")
-    labels = legend("/legend/labels", "Colours of the labels")
+    labels = _label_legend()
     return rrb.Vertical(
         rrb.Horizontal(labels, _glance()) if first else labels,
         rrb.Horizontal(
@@ -313,7 +317,7 @@ def _evaluation(centre_m: Centre, extent_m: float, scans: bool, evaluated: bool)
         in_scan = _scan("This scan: errors", [POINTS], {POINTS: verdicts})
         errors.append(rrb.Vertical(in_scan, _scan("Its labels", [POINTS])))
     parts: list[Part] = [
-        legend("/legend/errors", "Colours of errors"),
+        legend("/legend/errors", "Colours of errors", 7),
         rrb.Horizontal(*errors, column_shares=[4, 3][: len(errors)]),
     ]
     if scans:

@@ -131,9 +131,10 @@ def differences(name: str) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin="/scan/differences", name=name, visual_bounds=bounds)
 
 
-def legend(origin: str, name: str) -> rrb.Spatial2DView:
-    """Return a strip of coloured dots with names."""
-    return rrb.Spatial2DView(origin=origin, name=name)
+def legend(origin: str, name: str, entries: int) -> rrb.Spatial2DView:
+    """Return a strip of coloured dots with names, see `app.record.whole_run.log_legend`."""
+    bounds = rrb.VisualBounds2D(x_range=[-60.0, 120.0 * entries - 60.0], y_range=[-9.0, 24.0])
+    return rrb.Spatial2DView(origin=origin, name=name, visual_bounds=bounds)
 
 
 def text(origin: str, name: str) -> rrb.TextDocumentView:
