@@ -1,8 +1,7 @@
 """The clouds of a topic, one a revolution, from the headers and first points of its messages.
 
 Some recordings contain a PointCloud2 for each UDP packet, some 75 a revolution (Cartographer's
-backpack): these are joined until the azimuth comes round. Where a driver cuts at half a
-revolution, or a third, a fixed number of clouds makes one.
+backpack), others for each half of a revolution: successive clouds are joined to whole ones.
 """
 
 from collections import Counter
@@ -22,12 +21,12 @@ from ffmap.loaders.sensors import cloud_hint, sensor_of
 
 _HEADER_BYTES = 16 + 64  # Up to the frame's name
 _FRAME_SHARE_MIN = 0.05  # Of a topic's clouds; a few odd ones are no second lidar
-_PART_NS = 4_000_000  # Clouds that come faster are parts of a revolution: no lidar spins at 250 Hz
 _LEAD_POINTS = 32
-_BATCH = 4096
-_LEADS = 100  # Number of clouds whose first returns show whether they are parts of a revolution
+_LEADS = 1000  # Number of clouds whose first returns show whether they are parts of a revolution
 _LEADS_ALIKE = 0.8  # Minimum mean resultant length of their steps; without order it is near 0
 _SECTORS = 36
+_PARTS_MAX = 200
+_PAUSE = 0.1  # Of a revolution; in fewer than 15 parts, one and a half steps
 _OUTLIER_PERIODS = 10
 _LOOK_AHEAD = 1000  # Number of following clouds that show whether the clock or one stamp is wrong
 _STRETCH_MIN = 3  # Minimum number of clouds between two leaps of the stamps; fewer are wrong
@@ -65,11 +64,7 @@ class CloudIndex:
             return self
         steps = np.diff(self.stamp_ns)
         joins = self.usable[1:] & self.usable[:-1] & (steps < 1.5 * (self.period_ns or 0))
-        first, count = [0], 1
-        for i, joined in enumerate(joins.tolist(), start=1):
-            count = count + 1 if joined and count < clouds else 1
-            if count == 1:
-                first.append(i)
+        first = _first_of_groups(joins, clouds)
         return replace(
             self._rows(first), message_count=np.add.reduceat(self.message_count, first)
         )
@@ -123,13 +118,12 @@ def _index_clouds(bag: Bag, topic: Topic) -> CloudIndex:
         log_time_ns, counts, stamps = found
     else:
         log_time_ns, stamps, frames = read_headers(bag, topic.name)
-        counts = np.ones(len(stamps), np.int64)
-        if topic.msgtype == CLOUD_TYPE and _are_parts(stamps, log_time_ns):
-            counts = _revolutions(bag, topic.name, stamps)
-        stamps = stamps[np.cumsum(counts) - counts]
+        parts = _parts_a_turn(bag, topic.name) if topic.msgtype == CLOUD_TYPE else 1
+        begins = _first_of_groups(_without_pause(stamps, parts), parts) if len(stamps) else []
+        counts, stamps = np.diff([*begins, len(stamps)]), stamps[begins]
     first = np.cumsum(counts) - counts
     earlier = np.arange(len(log_time_ns)) - np.searchsorted(log_time_ns, log_time_ns, side="left")
-    index = CloudIndex(
+    return CloudIndex(
         topic=topic.name,
         log_time_ns=log_time_ns[first],
         stamp_ns=stamps,
@@ -138,9 +132,23 @@ def _index_clouds(bag: Bag, topic: Topic) -> CloudIndex:
         usable=_usable(stamps, log_time_ns[first]),
         frames=frames,
     )
-    if topic.msgtype != CLOUD_TYPE or len(first) < len(log_time_ns):
-        return index
-    return index.gathered(_clouds_a_turn(bag, topic.name))
+
+
+def _first_of_groups(joins: BoolArray, size: int) -> list[int]:
+    """Split a sequence into groups of up to `size`. joins: (m - 1,) what may share a group."""
+    first, count = [0], 1
+    for i, joined in enumerate(joins.tolist(), start=1):
+        count = count + 1 if joined and count < size else 1
+        if count == 1:
+            first.append(i)
+    return first
+
+
+def _without_pause(stamps: IntArray, parts: int) -> BoolArray:
+    """Find the steps (m - 1,) within a revolution; a bag may contain every message twice."""
+    steps = np.diff(stamps)
+    usual_ns = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    return np.asarray((steps >= 0) & (steps < max(1.5, _PAUSE * parts) * usual_ns))
 
 
 def read_headers(bag: Bag, topic: str) -> tuple[IntArray, IntArray, tuple[str, ...]]:
@@ -166,18 +174,6 @@ def read_headers(bag: Bag, topic: str) -> tuple[IntArray, IntArray, tuple[str, .
         words[:, 1] * 1_000_000_000 + words[:, 2],
         tuple(sorted(name for name, count in frames.items() if name and count > few)),
     )
-
-
-def _are_parts(stamps: IntArray, log_time_ns: IntArray) -> bool:
-    """Whether messages come so fast that they are parts of revolutions.
-
-    Where most stamps repeat, the log times decide: a bag may contain every message twice.
-    """
-    if len(stamps) < 20:
-        return False
-    repeat = np.mean(np.diff(stamps) == 0) >= 0.5
-    steps = np.diff(log_time_ns if repeat else stamps)
-    return bool(np.any(steps > 0) and np.median(steps[steps > 0]) < _PART_NS)
 
 
 def _usable(stamps: IntArray, log_time_ns: IntArray) -> BoolArray:
@@ -209,21 +205,7 @@ def _usable(stamps: IntArray, log_time_ns: IntArray) -> BoolArray:
     return usable
 
 
-def _revolutions(bag: Bag, topic: str, stamps: IntArray) -> IntArray:
-    """Count the messages of each revolution, from the azimuth of each message's first return."""
-    azimuth = _azimuths(bag, topic)
-    steps = np.mod(np.diff(azimuth) + np.pi, 2 * np.pi) - np.pi
-    direction = 1.0 if np.nanmedian(steps) > 0 else -1.0
-    phase = np.maximum.accumulate(np.concatenate([[0.0], np.nancumsum(direction * steps)]))
-    turn = np.floor(phase / (2 * np.pi) + 1e-9).astype(np.int64)
-    # A pause longer than half a revolution ends the cloud, whatever the azimuth.
-    turns = max(float(phase[-1]) / (2 * np.pi), 1.0)
-    period = float(np.sum(np.minimum(np.diff(stamps), 10 * _PART_NS))) / turns
-    begins = (np.diff(turn) > 0) | (np.diff(stamps) > period / 2)
-    return np.diff(np.concatenate([[0], np.flatnonzero(begins) + 1, [len(stamps)]]))
-
-
-def _clouds_a_turn(bag: Bag, topic: str) -> int:
+def _parts_a_turn(bag: Bag, topic: str) -> int:
     """Count the successive clouds that make up a revolution.
 
     Clouds are parts of a revolution where each sees a part of the directions, and the next begins
@@ -234,7 +216,7 @@ def _clouds_a_turn(bag: Bag, topic: str) -> int:
         return 1
     mean = np.mean(np.exp(1j * np.diff(azimuth)))
     step = abs(float(np.angle(mean))) / (2 * np.pi)
-    if abs(mean) < _LEADS_ALIKE or step < 1 / _SECTORS:
+    if abs(mean) < _LEADS_ALIKE or step < 1 / _PARTS_MAX:
         return 1
     seen = float(np.nanmedian([_seen(bag, raw) for raw in islice(bag.messages([topic]), 8)]))
     # A lidar that turns by more than half a revolution seems to turn the other way round.
@@ -254,31 +236,24 @@ def _seen(bag: Bag, raw: RawMessage) -> float:
     return len(np.unique(sectors % _SECTORS)) / _SECTORS
 
 
-def _azimuths(bag: Bag, topic: str, count: int | None = None) -> FloatArray:
-    """Azimuth (m,) in radians of the first return of each message, or of the first `count`.
+def _azimuths(bag: Bag, topic: str, count: int) -> FloatArray:
+    """Azimuth (m,) in radians of the first return of each of the first `count` messages.
 
     A message without a return among its first points has that of the message before.
     """
     found = _first_layout(bag, topic)
     if found is None:
-        return np.zeros(bag.topic(topic).count)
+        return np.zeros(0)
     data_at, layout = found
     lead_bytes = _LEAD_POINTS * layout.point.itemsize
-    heads = islice(bag.heads(topic, data_at + lead_bytes), count)
-    azimuths = []
-    while batch := list(islice(heads, _BATCH)):
-        leads = b"".join(head[data_at:].ljust(lead_bytes, b"\0") for _, head in batch)
-        points = np.frombuffer(leads, layout.point).reshape(len(batch), -1)
-        x, y, valid = _horizontal(points)
-        first = np.arange(len(batch)), valid.argmax(axis=1)
-        azimuth = np.arctan2(y[first], x[first])
-        azimuths.append(np.where(valid.any(axis=1), azimuth, np.nan))
-    azimuth = np.concatenate([np.zeros(0), *azimuths])
-    known = np.flatnonzero(np.isfinite(azimuth))
-    if not len(known):
-        return np.zeros(len(azimuth))
-    before = np.searchsorted(known, np.arange(len(azimuth)), side="right") - 1
-    return np.asarray(azimuth[known[np.maximum(before, 0)]])
+    heads = [head for _, head in islice(bag.heads(topic, data_at + lead_bytes), count)]
+    leads = b"".join(head[data_at:].ljust(lead_bytes, b"\0") for head in heads)
+    x, y, valid = _horizontal(np.frombuffer(leads, layout.point).reshape(len(heads), -1))
+    first = np.arange(len(heads)), valid.argmax(axis=1)
+    azimuth = np.arctan2(y[first], x[first])
+    known = np.flatnonzero(valid.any(axis=1))
+    before = np.searchsorted(known, np.arange(len(heads)), side="right") - 1
+    return azimuth[known[np.maximum(before, 0)]] if len(known) else np.zeros(0)
 
 
 def _first_layout(bag: Bag, topic: str) -> tuple[int, CloudLayout] | None:

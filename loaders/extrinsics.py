@@ -15,7 +15,6 @@ from ffmap.loaders.sensors import cloud_hint, sensor_of
 
 _REACH_MAX_M = 100.0  # With more, float32 loses the millimetres
 _ROBOT_FRAMES = ("base_footprint", "base_link")  # REP 105
-_SAME_DEG, _SAME_M = 2.0, 0.05  # Extrinsics that differ by less are the same, measured twice
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,22 +69,16 @@ def find_built_in(
     if len(fitting) != 1 or not chosen <= fitting[0][1].keys():
         return None
     rig, entries = fitting[0]
-    frames = {topic: lidar.frame for topic, lidar in entries.items() if lidar.frame}
-    off = _difference(read_frame_tree(bag, frames), rig)
-    if off is None:
-        warnings.append(
-            "the bag has no transforms of its lidars; by its topics and frames it belongs to "
-            f"{rig.label} ({rig.description}), whose extrinsics are used; --rig FILE overrules that"
-        )
-        return rig, entries
-    off_deg, off_m = off
-    if off_deg > _SAME_DEG or off_m > _SAME_M:
-        warnings.append(
-            f"by topics and frames the bag belongs to {rig.label} ({rig.description}), but its own "
-            f"transforms put the lidars {off_deg:.1f} deg and {100 * off_m:.0f} cm elsewhere: they "
-            f"are used; --rig {rig.name} uses the rig's extrinsics"
-        )
-    return None
+    frames = {topic: lidar.frame or "" for topic, lidar in entries.items()}
+    tree = read_frame_tree(bag, frames)
+    base = tree.root(rig.lidars[0].frame or "")[0]
+    if tree.joins(set(frames.values())) and base not in frames.values():
+        return None
+    warnings.append(
+        "the bag has no transforms of its lidars; by its topics and frames it belongs to "
+        f"{rig.label} ({rig.description}), whose extrinsics are used; --rig FILE overrules that"
+    )
+    return rig, entries
 
 
 def _fitting(bag: Bag, candidates: Sequence[Candidate], rig: RigFile) -> dict[str, RigLidar]:
@@ -98,28 +91,6 @@ def _fitting(bag: Bag, candidates: Sequence[Candidate], rig: RigFile) -> dict[st
     if not known.keys() >= set(keys):
         return {}
     return {known[key]: lidar for key, lidar in zip(keys, rig.lidars, strict=True)}
-
-
-def _difference(tree: FrameTree, rig: RigFile) -> tuple[float, float] | None:
-    """Degrees and metres between the rig's extrinsics and the bag's, relative to its first lidar.
-
-    None where the bag's transforms do not place all lidars.
-    """
-    frames = [lidar.frame or "" for lidar in rig.lidars]
-    alone = len(frames) == 1 and tree.root(frames[0])[0] == frames[0]
-    if alone or not set(frames) <= set(tree.frames):
-        return None
-    off_deg, off_m = 0.0, 0.0
-    first = rig.lidars[0].T_base_sensor
-    for lidar, frame in zip(rig.lidars[1:], frames[1:], strict=True):
-        T_bag = tree.between(frames[0], frame)
-        if T_bag is None or first is None or lidar.T_base_sensor is None:
-            return None
-        T_off = transforms.invert(T_bag) @ transforms.invert(first) @ lidar.T_base_sensor
-        twist = transforms.to_twist(T_off)
-        off_deg = max(off_deg, float(np.degrees(np.linalg.norm(twist[:3]))))
-        off_m = max(off_m, float(np.linalg.norm(twist[3:])))
-    return off_deg, off_m
 
 
 def place_by_file(
