@@ -8,8 +8,7 @@ from itertools import islice
 import numpy as np
 
 from ffmap.algorithms.base.scan import Scan, in_canonical_order
-from ffmap.loaders.bag import Bag, Message, RawMessage
-from ffmap.loaders.cloud_digest import digest_of
+from ffmap.loaders.bag import Bag, Message
 from ffmap.loaders.cloud_index import CloudIndex
 from ffmap.loaders.decoding import CloudDecoding, decode
 from ffmap.loaders.errors import CloudError, InputError, shortened
@@ -39,42 +38,15 @@ class SkippedScan:
 
 
 def read_messages(
-    bag: Bag,
-    index: CloudIndex,
-    first: int = 0,
-    count: int | None = None,
-    digests: list[bytes] | None = None,
+    bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None
 ) -> Iterator[tuple[int, Message]]:
     """Read clouds [first, first + count) as PointCloud2 messages, parts joined to revolutions.
 
-    Yields a CloudError in place of a message that cannot be decoded. digests: takes the digests of
-    each cloud's messages.
+    Yields a CloudError in place of a message that cannot be decoded.
     """
     sensor = sensor_of(bag.topics[index.topic])
     assert sensor is not None
     to_cloud = sensor.decoder(bag, index.topic)
-    for i, group in _gathered(bag, index, first, count):
-        if digests is not None:
-            digests.extend(map(digest_of, group))
-        # Parts may have been recorded twice.
-        kept = [raw for k, raw in enumerate(group) if not k or raw.data != group[k - 1].data]
-        try:
-            yield i, to_cloud(kept, int(index.stamp_ns[i]))
-        except InputError as error:
-            yield i, error if isinstance(error, CloudError) else CloudError(str(error))
-
-
-def read_digests(
-    bag: Bag, index: CloudIndex, first: int = 0, count: int | None = None
-) -> Iterator[bytes]:
-    """Compute the digest of each message of the clouds [first, first + count)."""
-    for _, group in _gathered(bag, index, first, count):
-        yield from map(digest_of, group)
-
-
-def _gathered(
-    bag: Bag, index: CloudIndex, first: int, count: int | None
-) -> Iterator[tuple[int, list[RawMessage]]]:
     stop = len(index) if count is None else min(first + count, len(index))
     if first >= stop:
         return
@@ -84,7 +56,12 @@ def _gathered(
         group = list(islice(raws, int(index.message_count[i])))
         if not group:
             return
-        yield i, group
+        # Parts may have been recorded twice.
+        kept = [raw for k, raw in enumerate(group) if not k or raw.data != group[k - 1].data]
+        try:
+            yield i, to_cloud(kept, int(index.stamp_ns[i]))
+        except InputError as error:
+            yield i, error if isinstance(error, CloudError) else CloudError(str(error))
 
 
 def read_scans(
@@ -93,14 +70,13 @@ def read_scans(
     first: int,
     count: int | None,
     decoding: CloudDecoding,
-    digests: list[bytes] | None = None,
 ) -> Iterator[tuple[int, Scan | SkippedScan]]:
     """Read clouds [first, first + count) as scans with their number in the bag.
 
     A damaged or inconsistent cloud, one without returns, and one with an unusable stamp are
-    SkippedScans. digests: as in `read_messages`.
+    SkippedScans.
     """
-    for i, message in read_messages(bag, index, first, count, digests):
+    for i, message in read_messages(bag, index, first, count):
         stamp = int(index.stamp_ns[i])
         if isinstance(message, CloudError):
             yield i, SkippedScan(i, stamp, str(message))

@@ -1,6 +1,7 @@
-"""labelled.bag or labelled/: every vertical cloud again, with its labels, and the poses."""
+"""labelled.bag or labelled/: every vertical cloud with its labels, and the poses."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,10 @@ from ffmap.loaders.bag_writer import BagWriter
 from ffmap.loaders.cloud_index import CloudIndex
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.frames import StaticTransform
-from ffmap.loaders.pointcloud2 import describe_layout, encode_labelled, stamp_ns
+from ffmap.loaders.pointcloud2 import CLOUD_TYPE, describe_layout, encode_labelled, stamp_ns
 from ffmap.loaders.rig import Rig
 from ffmap.loaders.scan_order import ScanOrder
 from ffmap.loaders.scans import read_messages
-
-_TRANSFORMS = (("/tf_static", "tf2_msgs/msg/TFMessage"), ("/tf", "tf2_msgs/msg/TFMessage"))
 
 
 def write_labelled_bag(
@@ -30,11 +29,14 @@ def write_labelled_bag(
     trajectory: Trajectory,
     labels: Iterable[tuple[int, UInt8Array, UInt8Array]],
 ) -> Path:
-    """Every vertical cloud of the bag again, with its labels, as `labelled.bag` (ROS 1) or `labelled/` (ROS 2).
+    """Write the vertical clouds with their labels, as `labelled.bag` (ROS 1) or `labelled/`.
 
-    indices: each vertical lidar's clouds; bags: where they are read, one for each. trajectory: T_map_base. labels: in the order
-    of all of them, see `ScanOrder`, for each labelled scan its number, `label` and `label_scan`, both (height x width,); the
-    points of clouds that are not among them get 255.
+    Args:
+        bags: the bag of each vertical lidar's clouds.
+        indices: each vertical lidar's clouds.
+        trajectory: T_map_base.
+        labels: number of each labelled scan, see `ScanOrder`, with `label` and `label_scan`
+            (height x width,). The points of other clouds get 255.
     """
     labelled, static = iter(labels), rig.tree.rooted_at(rig.base_frame)
     following, posed_ns = next(labelled, None), None
@@ -46,14 +48,17 @@ def write_labelled_bag(
         return read_messages(bags[lidar], indices[lidar], first, count)
 
     with BagWriter(run_dir / name, container) as writer:
-        for topic, msgtype in (*_TRANSFORMS, *((index.topic, "sensor_msgs/msg/PointCloud2") for index in indices)):
-            writer.add_topic(topic, msgtype, latched=topic == "/tf_static")
+        writer.add_topic("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+        writer.add_topic("/tf", "tf2_msgs/msg/TFMessage")
+        for index in indices:
+            writer.add_topic(index.topic, CLOUD_TYPE)
         for scan, lidar, message in scans.read(0, None, read):
             if following is not None and following[0] < scan:
                 raise ValueError(f"the labels of scan {following[0]} come out of order")
             if isinstance(message, CloudError):
                 continue
-            label = label_scan = np.full(int(message.height) * int(message.width), NO_RETURN, np.uint8)
+            size = int(message.height) * int(message.width)
+            label = label_scan = np.full(size, NO_RETURN, np.uint8)
             if following is not None and following[0] == scan:
                 _, label, label_scan = following
                 following = next(labelled, None)
@@ -62,19 +67,14 @@ def write_labelled_bag(
             if static:
                 writer.write("/tf_static", writer.transforms(stamp, static), log_time_ns)
                 static = ()
-            # Clouds that were taken at once have one pose.
+            # Clouds with one stamp have one pose.
             if index.usable[cloud] and len(trajectory) and stamp != posed_ns:
-                pose = StaticTransform("map", rig.base_frame, trajectory.at(index.stamp_ns[cloud : cloud + 1])[0])
+                T_map_base = trajectory.at(index.stamp_ns[cloud : cloud + 1])[0]
+                pose = StaticTransform("map", rig.base_frame, T_map_base)
                 writer.write("/tf", writer.transforms(stamp, [pose]), log_time_ns)
                 posed_ns = stamp
-            writer.write(index.topic, _labelled(message, index.topic, label, label_scan), log_time_ns)
+            with suppress(CloudError):  # An inconsistent cloud stays the same
+                describe_layout(message, index.topic)
+                message = encode_labelled(message, label, label_scan)
+            writer.write(index.topic, message, log_time_ns)
     return writer.path
-
-
-def _labelled(message: Message, topic: str, label: UInt8Array, label_scan: UInt8Array) -> Message:
-    """The cloud with its labels; one that contradicts itself stays as it is."""
-    try:
-        describe_layout(message, topic)
-    except CloudError:
-        return message
-    return encode_labelled(message, label, label_scan)
