@@ -163,7 +163,7 @@ def read_headers(bag: Bag, topic: str) -> tuple[IntArray, IntArray, tuple[str, .
         heads.append(head.ljust(_HEADER_BYTES, b"\0"))
     # The second byte of CDR is odd for little-endian; ROS 1 always is.
     order = "<u4" if bag.ros_version == 1 or not heads or heads[0][1] & 1 else ">u4"
-    words = np.frombuffer(b"".join(heads), order).reshape(len(heads), -1).astype(np.int64)
+    words = np.frombuffer(b"".join(heads), order).reshape(-1, _HEADER_BYTES // 4).astype(np.int64)
     names = (head[16 : 16 + n] for head, n in zip(heads, words[:, 3].tolist(), strict=True))
     frames = Counter(
         name.split(b"\0")[0].decode(errors="replace").removeprefix("/") for name in names

@@ -1,4 +1,4 @@
-"""What the commands do with a file, as far as their input goes; each raises an InputError for what the user can mend."""
+"""The reading parts of the commands; each raises an InputError for damaged input."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -24,11 +24,20 @@ from ffmap.loaders.rig_file import read_rig_file
 from ffmap.loaders.scans import read_scans
 from ffmap.loaders.trajectory_file import read_pose_topic, read_tum, write_tum
 from ffmap.loaders.truth import BUILDING_TOPIC, read_truth
-from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, header, sweep, tf_message, write_bag
+from tests.loaders.bag_builder import (
+    PERIOD_NS,
+    START_NS,
+    cloud,
+    clouds,
+    header,
+    sweep,
+    tf_message,
+    write_bag,
+)
 
 
 def look_over_bag(path: Path, options: RunOptions | None = None) -> None:
-    """info; what a run reads of a bag; its truth and its poses."""
+    """Describe a bag, read its scans, ground truth and poses."""
     options = options or RunOptions()
     found: list[Inputs] = []
     steps: list[Callable[[], object]] = [
@@ -67,9 +76,9 @@ def _read_rest(path: Path) -> None:
 
 
 def look_over_clouds(folder: Path, change: dict[str, Any], every: bool) -> None:
-    """A bag whose clouds, or one of them, say of themselves what `change` says."""
+    """A bag in which all clouds, or one, have other attributes."""
     good = sweep(24)
-    entries: list[Any] = [("/tf_static", START_NS, MOUNTS)]
+    entries: list[Any] = [("/tf_static", START_NS, extrinsics())]
     for i in range(6):
         message = cloud(good, START_NS + i * PERIOD_NS, "v")
         if every or i == 3:
@@ -87,7 +96,7 @@ def look_over_clouds(folder: Path, change: dict[str, Any], every: bool) -> None:
 
 
 def look_over_packets(folder: Path, packets: list[bytes], stamps_ns: list[int]) -> None:
-    """A bag of raw packets of 1206 bytes, as many a scan as there are; later scans are the first again."""
+    """A bag of three equal scans of raw packets of 1206 bytes."""
     types = make_typestore(1).types
     make, scan = types["velodyne_msgs/msg/VelodynePacket"], types["velodyne_msgs/msg/VelodyneScan"]
     entries: list[Any] = []
@@ -100,7 +109,8 @@ def look_over_packets(folder: Path, packets: list[bytes], stamps_ns: list[int]) 
             )
             for data, later in zip(packets, stamps_ns, strict=True)
         ]
-        entries.append(("/packets", stamp + 1, scan(header=header(types, stamp, "v"), packets=made)))
+        message = scan(header=header(types, stamp, "v"), packets=made)
+        entries.append(("/packets", stamp + 1, message))
     path = folder / "case.bag"
     path.unlink(missing_ok=True)
     look_over_bag(write_bag(path, entries))
@@ -134,12 +144,13 @@ def evaluate(run: Path) -> None:
 
 
 def evaluate_by(run: Path, bag: Path, building: bytes) -> None:
-    """Against the truth of a bag, whose building is another text."""
+    """Evaluate by the ground truth of a bag with another building."""
     store, path = make_typestore(1), run.parent / "truth.bag"
     text = store.types["std_msgs/msg/String"](building.decode(errors="replace"))
     with open_bag(bag) as source:
-        kept = [topic for topic in source.topics if topic.startswith("/truth/") and topic != BUILDING_TOPIC]
-        entries = [(raw.topic, raw.log_time_ns, source.deserialize(raw)) for raw in source.messages(kept)]
+        kept = {topic for topic in source.topics if topic.startswith("/truth/")} - {BUILDING_TOPIC}
+        messages = source.messages(kept)
+        entries = [(raw.topic, raw.log_time_ns, source.deserialize(raw)) for raw in messages]
     truth = write_bag(path, [(BUILDING_TOPIC, START_NS, text), *entries])
     evaluate_run(open_run(run), BagPath((truth,)), workers=1)
 
@@ -153,15 +164,19 @@ def list_runs(root: Path) -> None:
 
 
 _TILT = (0.0, 0.7071067811865476, 0.0, 0.7071067811865476)
-MOUNTS = tf_message([("base", "h", (0, 0, 1), (0, 0, 0, 1)), ("base", "v", (0, 0, 0.8), _TILT)])
 
 
-def mounts(ros_version: int) -> Any:
-    return tf_message([("base", "h", (0, 0, 1), (0, 0, 0, 1)), ("base", "v", (0, 0, 0.8), _TILT)], ros_version)
+def extrinsics(ros_version: int = 1) -> Any:
+    edges = [("base", "h", (0, 0, 1), (0, 0, 0, 1)), ("base", "v", (0, 0, 0.8), _TILT)]
+    return tf_message(edges, ros_version)
 
 
 def small_drive(ros_version: int) -> list[Any]:
-    """Two lidars, four sweeps each, and how they are mounted."""
+    """Two lidars, four sweeps each, and their extrinsics."""
     small = {"columns": 16, "elevations_deg": (-3, -1, 1, 3)}
-    entries = clouds("/h", 4, "h", ros_version, **small) + clouds("/v", 4, "v", ros_version, late_ns=10**6, **small)
-    return sorted([("/tf_static", START_NS, mounts(ros_version)), *entries], key=lambda entry: entry[1])
+    entries = [
+        ("/tf_static", START_NS, extrinsics(ros_version)),
+        *clouds("/h", 4, "h", ros_version, **small),
+        *clouds("/v", 4, "v", ros_version, late_ns=10**6, **small),
+    ]
+    return sorted(entries, key=lambda entry: entry[1])

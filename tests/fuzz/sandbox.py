@@ -1,4 +1,4 @@
-"""A process in which commands meet damaged input: what ends it, hangs or fills the memory is a failure, not the tests' end."""
+"""A process for commands on damaged input: a crash, a hang or full memory is a failure."""
 
 import multiprocessing as mp
 import os
@@ -6,7 +6,6 @@ import resource
 import signal
 import sys
 import traceback
-from collections import Counter
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,66 +16,63 @@ import psutil
 from ffmap.loaders.errors import InputError
 
 SECONDS_MAX = 10
-"""Of the processor: a busy machine is no failure."""
+"""Processor time."""
 _WAIT_S = 120.0
-"""For what takes no processor, such as a pipe that nobody writes to."""
+"""For commands that take no processor time, such as reading a pipe that nobody writes."""
 _MEMORY_MAX = 2 << 30
-"""That is filled. Twice as much may be asked for: a read of as many bytes as a damaged length says fills little of it."""
 _NO_MEMORY = ("Unable to allocate", "bad_alloc")
 _LINE_MAX = 2000
 _CASES = 500
-"""Of a process: libraries keep some of what each case took, and no command meets thousands of files."""
+"""Of a process: libraries keep some memory of each case."""
 
 Command = Callable[..., object]
 
 
 class Sandbox:
-    """Runs commands one after the other in a process of its own, with a new one after each that did not come back.
+    """Runs commands in a process, with a new one after each that did not return.
 
-    folder: for a case's files; one case's are gone when the next begins. cases: how many ran, by the command's name.
+    folder: for the files of one case.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.cases: Counter[str] = Counter()
+        self._cases = 0
         self._process: Any = None
         self._pipe: Any = None
 
     def run(self, command: Command, *arguments: object) -> None:
-        """Raises AssertionError where a command neither did its work nor raised an InputError of one line."""
-        if self.cases.total() % _CASES == 0:
+        """Raise AssertionError unless a command returns or raises an InputError of one line."""
+        self._cases += 1
+        if self._cases % _CASES == 0:
             self.close()
-        self.cases[command.__name__] += 1
         if self._process is None:
-            self._start()
+            context = mp.get_context("spawn")
+            self._pipe, theirs = context.Pipe()
+            self._process = context.Process(target=_serve, args=(theirs,), daemon=False)
+            self._process.start()
+            theirs.close()
         self._pipe.send((command, arguments))
         try:
-            told: str | None = self._pipe.recv() if self._pipe.poll(_WAIT_S) else f"no answer within {_WAIT_S:g} s"
+            answer: str | None = f"no answer within {_WAIT_S:g} s"
+            if self._pipe.poll(_WAIT_S):
+                answer = self._pipe.recv()
         except (EOFError, ConnectionError):
             self._process.join()
-            told = f"ended the process, code {self._process.exitcode}"
-        if told is not None:
+            answer = f"ended the process, code {self._process.exitcode}"
+        if answer is not None:
             self.close()
-            raise AssertionError(told)
+            raise AssertionError(answer)
 
     def close(self) -> None:
-        """End the process."""
         if self._process is not None:
             self._process.kill()
             self._process.join()
             self._pipe.close()
         self._process = None
 
-    def _start(self) -> None:
-        context = mp.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=False)
-        self._process.start()
-        theirs.close()
-
 
 class _TooLongError(BaseException):
-    """No `except Exception` stops it."""
+    """Passes every `except Exception`."""
 
 
 def _serve(pipe: Connection) -> None:
@@ -84,36 +80,37 @@ def _serve(pipe: Connection) -> None:
     os.dup2(silent, sys.stdout.fileno())
     os.dup2(silent, sys.stderr.fileno())
     signal.signal(signal.SIGPROF, _too_long)
-    most: int | None = None
+    limited = False
     while True:
         try:
             command, arguments = pipe.recv()
         except EOFError:
             return
-        if most is None:  # once the libraries are loaded, which reserve much and use little
+        if not limited:  # Once the libraries are loaded, which reserve much and use little
             most = psutil.Process().memory_info().data + 2 * _MEMORY_MAX
             resource.setrlimit(resource.RLIMIT_DATA, (most, most))
-        pipe.send(_told(command, arguments))
+            limited = True
+        pipe.send(_problem(command, arguments))
 
 
-def _told(command: Command, arguments: tuple[object, ...]) -> str | None:
+def _problem(command: Command, arguments: tuple[object, ...]) -> str | None:
+    line = ""
     signal.setitimer(signal.ITIMER_PROF, SECONDS_MAX)
     try:
         command(*arguments)
-        said = ""
     except InputError as error:
-        said = str(error)
+        line = str(error)
     except BaseException:
         return traceback.format_exc(limit=-12)[-4000:]
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
-    filled = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    if filled > _MEMORY_MAX:
-        return f"{filled:,} bytes of memory were filled"
-    if "\n" in said or len(said) > _LINE_MAX or any(word in said for word in _NO_MEMORY):
-        return f"an error of more than a line, or for want of memory: {said[:_LINE_MAX]}"
+    used = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    if used > _MEMORY_MAX:
+        return f"{used:,} bytes of memory were used"
+    if "\n" in line or len(line) > _LINE_MAX or any(word in line for word in _NO_MEMORY):
+        return f"an error of more than a line, or for lack of memory: {line[:_LINE_MAX]}"
     return None
 
 
 def _too_long(*_: object) -> None:
-    raise _TooLongError(f"{SECONDS_MAX} s of the processor are over")
+    raise _TooLongError(f"more than {SECONDS_MAX} s of processor time")

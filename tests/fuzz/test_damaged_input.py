@@ -1,6 +1,6 @@
-"""Whatever is in the files that users give, a command does its work or says in one line what is wrong.
+"""With damaged files of users, a command succeeds or fails with one line.
 
-A few cases each, always the same; with --hypothesis-profile=long and -n 0 many, others every time, and their number at the end.
+A few cases each, always the same; with --hypothesis-profile=long many, others every time.
 """
 
 import json
@@ -93,14 +93,19 @@ def test_bags(kind: str, data: st.DataObject, sandbox: Sandbox, place: Path) -> 
     sandbox.run(commands.look_over_bag, case)
 
 
-numbers = st.one_of(st.sampled_from((0, 1, 2, 3, 384, 2**16, 2**31 - 1, 2**32 - 1)), st.integers(0, 2**32 - 1))
+numbers = st.one_of(
+    st.sampled_from((0, 1, 2, 3, 384, 2**16, 2**31 - 1, 2**32 - 1)), st.integers(0, 2**32 - 1)
+)
 field = st.tuples(
-    st.sampled_from(("x", "y", "z", "ring", "time", "t", "timestamp", "intensity", "", "é", "label")),
+    st.sampled_from([*["x", "y", "z", "ring", "time", "t", "timestamp", "intensity", "é", "label"], ""]),
     st.one_of(st.integers(0, 30), numbers),
     st.one_of(st.integers(1, 8), st.integers(0, 255)),
     st.one_of(st.just(1), numbers),
 )
-values = st.one_of(st.floats(width=32), st.sampled_from((0.0, 1e30, -1e30, 1e6, 1e-30, float("nan"), float("inf"))))
+values = st.one_of(
+    st.floats(width=32),
+    st.sampled_from((0.0, 1e30, -1e30, 1e6, 1e-30, float("nan"), float("inf"))),
+)
 
 
 @st.composite
@@ -108,7 +113,8 @@ def points(draw: st.DrawFn) -> bytes:
     """Points of which some columns, or some of the rows, have other values."""
     made = sweep(24)
     for name in draw(st.sets(st.sampled_from(made.dtype.names), min_size=1)):
-        rows = slice(draw(st.integers(0, len(made))), draw(st.integers(0, len(made))), draw(st.integers(1, 50)))
+        start, stop = (draw(st.integers(0, len(made))) for _ in range(2))
+        rows = slice(start, stop, draw(st.integers(1, 50)))
         value = draw(values) if made.dtype[name].kind == "f" else draw(st.integers(0, 2**16 - 1))
         made[name][rows] = value
     return made.tobytes()
@@ -141,9 +147,9 @@ def packet(mode: int, model: int) -> bytes:
     return blocks + bytes(4) + bytes((mode, model))
 
 
-packets = st.tuples(st.sampled_from((0x37, 0x38, 0x39, 0)), st.sampled_from((0x21, 0x22, 0x28, 0x63, 0xA1, 0))).flatmap(
-    lambda kind: st.one_of(st.just(packet(*kind)), damaged(packet(*kind)))
-)
+packets = st.tuples(
+    st.sampled_from((0x37, 0x38, 0x39, 0)), st.sampled_from((0x21, 0x22, 0x28, 0x63, 0xA1, 0))
+).flatmap(lambda kind: st.one_of(st.just(packet(*kind)), damaged(packet(*kind))))
 
 
 @given(data=st.lists(st.tuples(packets, st.integers(-(10**10), 10**10)), max_size=8))
@@ -182,24 +188,22 @@ def test_trajectories(text: bytes, sandbox: Sandbox) -> None:
     sandbox.run(commands.look_over_trajectory, path)
 
 
-CONFIG = as_toml(Settings())
-NAMES = tuple(Settings().flat())
+words = st.one_of(
+    st.sampled_from(WORDS), st.integers().map(str), st.floats().map(str), st.text(max_size=30)
+)
+names = st.one_of(st.sampled_from(tuple(Settings().flat())), words)
 
 
-@given(text=damaged_text(CONFIG))
-def test_configurations(text: bytes, sandbox: Sandbox) -> None:
+@given(
+    text=damaged_text(as_toml(Settings())),
+    override=st.lists(st.builds("{}={}".format, names, words) | words, max_size=4),
+    both=st.booleans(),
+)
+def test_settings(text: bytes, override: list[str], both: bool, sandbox: Sandbox) -> None:
     path = fresh(sandbox.folder / "case") / "config.toml"
     path.write_bytes(text)
-    sandbox.run(commands.look_over_settings, path, ())
-
-
-names = st.one_of(st.sampled_from(NAMES), st.sampled_from(WORDS), st.text(max_size=30))
-given_values = st.one_of(st.sampled_from(WORDS), st.integers().map(str), st.floats().map(str), st.text(max_size=30))
-
-
-@given(words=st.lists(st.builds("{}={}".format, names, given_values) | given_values, max_size=4))
-def test_set_words(words: list[str], sandbox: Sandbox) -> None:
-    sandbox.run(commands.look_over_settings, None, tuple(words))
+    sandbox.run(commands.look_over_settings, path, tuple(override) if both else ())
+    sandbox.run(commands.look_over_settings, None, tuple(override))
 
 
 MAP = """image: map.pgm
@@ -223,7 +227,8 @@ def whole_image(name: str, folder: Path) -> bytes:
 
 @fewer
 @given(
-    data=st.data(), name=st.sampled_from(("map.pgm", "map.png", "map.tif", "map.bmp", "map.gif", "map.jpg", "map.webp"))
+    data=st.data(),
+    name=st.sampled_from(["pgm", "png", "tif", "bmp", "gif", "jpg", "webp"]).map("map.{}".format),
 )
 def test_maps(data: st.DataObject, name: str, sandbox: Sandbox, place: Path) -> None:
     folder = fresh(sandbox.folder / "case")
@@ -259,13 +264,14 @@ def whole_run(folder: Path) -> Path:
     line = {"type": "LineString", "coordinates": [[0.0, 0.0], [1.0, 2.0]]}
     write_geojson(run / "walls.geojson", [{"properties": {"thickness": 0.1}, "geometry": line}])
     square = {"type": "Polygon", "coordinates": [[[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 0.0]]]}
-    write_geojson(run / "rooms.geojson", [{"properties": {"area": 2.0, "name": "1"}, "geometry": square}])
+    room = {"properties": {"area": 2.0, "name": "1"}, "geometry": square}
+    write_geojson(run / "rooms.geojson", [room])
     return run
 
 
 @st.composite
 def damaged_runs(draw: st.DrawFn, whole: Path, case: Path) -> Path:
-    """A run's folder of which one file is damaged, or not there."""
+    """The folder of a run in which one file is damaged, or missing."""
     shutil.copytree(whole, case)
     file = draw(st.sampled_from(sorted(path.name for path in whole.iterdir())))
     content = (whole / file).read_bytes()
@@ -281,10 +287,17 @@ def damaged_runs(draw: st.DrawFn, whole: Path, case: Path) -> Path:
 
 
 @fewer
-@given(data=st.data())
-def test_evaluated_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
-    run = data.draw(damaged_runs(whole_run(place), fresh(sandbox.folder / "case") / "run"))
-    sandbox.run(commands.evaluate, run)
+@given(data=st.data(), command=st.sampled_from(("evaluate", "compare", "runs")))
+def test_runs(data: st.DataObject, command: str, sandbox: Sandbox, place: Path) -> None:
+    whole, folder = whole_run(place), fresh(sandbox.folder / "case")
+    run = data.draw(damaged_runs(whole, folder / "run"))
+    match command:
+        case "evaluate":
+            sandbox.run(commands.evaluate, run)
+        case "compare":
+            sandbox.run(commands.compare, whole, run, folder / "out")
+        case _:
+            sandbox.run(commands.list_runs, folder)
 
 
 @fewer
@@ -294,19 +307,3 @@ def test_true_buildings(building: bytes, sandbox: Sandbox, place: Path) -> None:
     run = fresh(sandbox.folder / "case") / "run"
     shutil.copytree(whole, run)
     sandbox.run(commands.evaluate_by, run, whole.parent / "in.bag", building)
-
-
-@fewer
-@given(data=st.data())
-def test_compared_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
-    whole = whole_run(place)
-    run = data.draw(damaged_runs(whole, fresh(sandbox.folder / "case") / "run"))
-    sandbox.run(commands.compare, whole, run, sandbox.folder / "case" / "out")
-
-
-@fewer
-@given(data=st.data())
-def test_listed_runs(data: st.DataObject, sandbox: Sandbox, place: Path) -> None:
-    root = fresh(sandbox.folder / "case")
-    data.draw(damaged_runs(whole_run(place), root / "run"))
-    sandbox.run(commands.list_runs, root)

@@ -202,7 +202,8 @@ def packet_clouds(count, columns=75, step_ns=1_333_333):
 
 
 def test_a_pause_ends_a_revolution(bag_of):
-    entries = [(t, log + (i >= 110) * 3 * 10**9, m) for i, (t, log, m) in enumerate(packet_clouds(300))]
+    made = packet_clouds(300)
+    entries = [(t, log + (i >= 110) * 3 * 10**9, m) for i, (t, log, m) in enumerate(made)]
     for _, _, message in entries[110:]:
         message.header.stamp.sec += 3
     assert 110 in np.cumsum(index_clouds(bag_of(entries), "/a").message_count)
@@ -251,7 +252,7 @@ def test_half_hidden_revolutions_are_not_joined(bag_of):
     assert index_clouds(bag_of(entries), "/a").message_count.tolist() == [1] * 24
 
 
-def test_a_topic_without_clouds(bag_of):
+def test_topics_without_clouds(bag_of):
     bag = bag_of([("/odom", START_NS, odometry(START_NS, [0, 0, 0]))])
     with pytest.raises(InputError, match=r"/odom is nav_msgs/msg/Odometry.*no clouds"):
         index_clouds(bag, "/odom")
