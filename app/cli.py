@@ -532,7 +532,7 @@ def sweep(
         Option(
             help="Figure by which runs are ranked, and which --optuna optimizes."
         ),
-    ] = "wall_f1",
+    ] = "wall.f1",
     seed: Annotated[
         int, Option(min=0, help="Seed of --random and --optuna.")
     ] = 0,
@@ -602,7 +602,7 @@ def runs(
         list[str] | None,
         Option(
             metavar="CONDITION",
-            help='Show only runs that meet it, as in "wall_f1>0.98"; repeatable.',
+            help='Show only runs that meet it, as in "wall.f1>0.98"; repeatable.',
         ),
     ] = None,
     sort: Annotated[
@@ -614,20 +614,20 @@ def runs(
         str | None,
         Option(
             metavar="LIST",
-            help="Columns to show, as in wall_f1,doors_found; 'all' lists the names.",
+            help="Columns to show, as in wall.f1,doors.recall; 'all' lists the names.",
         ),
     ] = None,
 ) -> None:
     """List runs with their figures and the settings in which they differ.
 
-    Columns: settings (wall_planes.similarity_m), figures (wall_f1, doors_found), counts (walls,
+    Columns: settings (wall_planes.similarity_m), figures (wall.f1, doors.recall), counts (walls,
     doors), seconds of run time.
 
     Examples:
 
-        ffmap runs runs/sweep-drive --where "wall_f1>0.98" --where doors.lines_min=2 --sort seconds
+        ffmap runs runs/sweep-drive --where "wall.f1>0.98" --where doors.lines_min=2 --sort seconds
 
-        ffmap runs --columns started,wall_f1,door_f1 --sort wall_f1
+        ffmap runs --columns started,wall.f1,door.f1 --sort wall.f1
     """
     from ffmap.app.commands import runs as command
 

@@ -1,5 +1,6 @@
 """Tables for the terminal, and in Markdown for the viewer."""
 
+import math
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
@@ -33,6 +34,15 @@ def make_table(
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def format_value(value: object) -> str:
+    """Format a value with four significant digits."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.0f}" if value.is_integer() else f"{value:.4g}"
+    return str(value)
 
 
 def markdown_table(headings: Sequence[str], rows: Iterable[Iterable[str]]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Runs side by side on one time cursor, and before that what differs between them and where."""
+"""Layout of a comparison: what differs between runs and where, then the runs side by side."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,18 +7,26 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ffmap.blueprints import entities
-from ffmap.blueprints.views import Part, aslant, behind_the_robot, from_above, layout, opening_at, space
+from ffmap.blueprints.views import (
+    Part,
+    aslant,
+    behind_the_robot,
+    from_above,
+    layout,
+    opening_at,
+    space,
+)
 
-_LEGEND_SHARE = 0.4  # Width left for the legends of curves, as a share of the curves' own: their views are narrow
+_LEGEND_SHARE = 0.4
+"""Width for the legends of curves, as a share of that of the curves."""
 
 
 @dataclass(frozen=True)
 class ComparedRun:
-    """A run as the layout shows it.
+    """A run in the layout.
 
-    letter: its entities lie below it. scans: whether single scans are there. map_points: whether its growing map is.
-    compared: what was compared with the first run: labels, planes, trajectory, walls, doors, grid. differing: of labels,
-    planes and trajectory, what differs.
+    letter: its entities are below it. scans, map_points: whether its recording has single scans,
+    and the growing map. compared: the subjects compared with the first run.
     """
 
     letter: str
@@ -26,10 +34,9 @@ class ComparedRun:
     scans: bool
     map_points: bool
     compared: frozenset[str] = frozenset()
-    differing: frozenset[str] = frozenset()
 
     def path(self, path: str) -> str:
-        """Where an entity of the run's recording lies in the comparison."""
+        """Return the path of an entity of the run's recording."""
         return f"/{self.letter}{path}"
 
 
@@ -41,136 +48,125 @@ def build(
     most_changed: str | None = None,
     scans: tuple[int, int] | None = None,
 ) -> rrb.Blueprint:
-    """The layout of a comparison of the first run with each of the others.
+    """Lay out a comparison of the first run with each of the others.
 
-    centre_m, extent_m: middle and size of what the maps show. scan: the one to open at; None for the first.
-    most_changed: letter of the run whose tab is open at first; None for the first. scans: number of the first and of the
-    last one that curves show; None where that is not known.
+    Args:
+        centre_m, extent_m: middle and size of the maps.
+        scan, most_changed: scan and letter of the run to open at.
+        scans: the first and the last scan of curves.
     """
     first, *others = runs
     above = from_above(centre_m, extent_m)
     tabs: list[Part] = [_differences(first, other, above, scans) for other in others]
-    if any(run.scans or run.map_points for run in runs):
-        tabs.append(_side_by_side(runs, centre_m, extent_m))
+    shown = [run for run in runs if run.scans or run.map_points]
+    if shown:
+        eye = aslant(centre_m, extent_m, (-0.3, -0.65, 0.65))
+        columns = [rrb.Vertical(*_scan_views(run), _growing_map(run, eye)) for run in runs]
+        tabs.append(rrb.Horizontal(*columns, name="Side by side"))
     tabs.append(rrb.TextDocumentView(origin=entities.RUNS_TEXT, name="Runs, settings, figures"))
     active = next((k for k, other in enumerate(others) if other.letter == most_changed), 0)
-    return layout(rrb.Tabs(*tabs, active_tab=active), opening_at(entities.SCAN_TIMELINE, scan))
+    time = opening_at(entities.SCAN_TIMELINE, scan)
+    return layout(rrb.Tabs(*tabs, active_tab=active), time)
 
 
 def _differences(
-    first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D, scans: tuple[int, int] | None
+    first: ComparedRun,
+    other: ComparedRun,
+    above: rrb.EyeControls3D,
+    scans: tuple[int, int] | None,
 ) -> rrb.Container:
-    """What differs between two runs: where, when, and in words."""
-    columns = [rrb.Vertical(*part) for part in (_where(first, other, above), _when(first, other, above, scans)) if part]
-    text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(other.letter), name=f"What differs: {other.title}")
-    return rrb.Horizontal(
-        *columns, text, column_shares=[3] * len(columns) + [2.4], name=f"{other.letter} against {first.letter}"
-    )
-
-
-def _where(first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D) -> list[Part]:
+    """What differs between two runs: where, when, and in figures."""
     letter, grid = other.letter, f"{entities.GRID}/{first.letter}"
-    views: list[Part] = []
+    where: list[Part] = []
+    when: list[Part] = []
     if "labels" in other.compared:
         name = f"Where labels changed, {first.letter} → {letter}, over the map of {first.letter}"
-        views.append(space(name, [grid, entities.CHANGED_CUBES.format(letter)], above, origin="/"))
+        changed = [grid, entities.CHANGED_CUBES.format(letter)]
+        where.append(space(name, changed, above, origin="/"))
+        when.append(_changed_points(first, other, above))
+        title = "Changed labels, percent of each scan, in the colours of the points"
+        when.append(_curve(entities.CHANGED_PERCENT, other, title, scans))
+        title = "Changed labels of single scans, percent"
+        when.append(_curve(entities.CHANGED_PERCENT_SCAN, other, title, scans))
     if other.compared & {"walls", "doors", "grid", "trajectory"}:
-        contents = [
-            grid,
-            f"{entities.CHANGED_WALLS.format(letter)}/**",
-            f"{entities.CHANGED_DOORS.format(letter)}/**",
-            f"{entities.CHANGED_CELLS.format(letter)}/**",
-            f"{entities.PATHS}/{first.letter}",
-            f"{entities.PATHS}/{letter}",
+        name = "Walls, doors, cells: lost red, gained green, altered yellow; lines: trajectories"
+        changed = [
+            f"{path.format(letter)}/**"
+            for path in (entities.CHANGED_WALLS, entities.CHANGED_DOORS, entities.CHANGED_CELLS)
         ]
-        name = "Walls, doors, map cells: lost red, gained green, altered yellow; lines: the robot's ways"
-        views.append(space(name, contents, above, origin="/"))
-    return views
+        paths = [f"{entities.PATHS}/{own}" for own in (first.letter, letter)]
+        where.append(space(name, [grid, *changed, *paths], above, origin="/"))
+    if "trajectory" in other.compared:
+        when.append(_curve(entities.POSE_DISTANCE, other, "Distance of poses, metres", scans))
+    if len(when) > 2:
+        when = [*when[:2], rrb.Tabs(*when[2:])]
+    columns = [rrb.Vertical(*part) for part in (where, when) if part]
+    name = f"What differs: {other.title}"
+    text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(letter), name=name)
+    shares = [3] * len(columns) + [2.4]
+    title = f"{letter} against {first.letter}"
+    return rrb.Horizontal(*columns, text, column_shares=shares, name=title)
 
 
-def _when(
-    first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D, scans: tuple[int, int] | None
-) -> list[Part]:
-    views: list[Part] = []
-    if "labels" in other.compared:
-        percent = "Changed labels in each scan, percent, in the colours of the points"
-        views = [_changed_points(first, other, above), _curve(entities.CHANGED_PERCENT, other, percent, scans)]
-    curves = (
-        ("trajectory", entities.POSE_DISTANCE, "Distance of the poses, metres"),
-        ("planes", entities.CHANGED_PLANES, "Wall planes lost and gained"),
-        ("labels", entities.CHANGED_PERCENT_SCAN, "Changed labels of single scans, percent"),
-    )
-    # What differs comes first: a line along zero tells nothing.
-    by_interest = sorted(curves, key=lambda curve: curve[0] not in other.differing)
-    shown = [_curve(path, other, title, scans) for what, path, title in by_interest if what in other.compared]
-    return [*views, rrb.Tabs(*shown, active_tab=0)] if shown else views
-
-
-def _changed_points(first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D) -> rrb.Spatial3DView:
-    """The changed returns before the scan's others, or before the map where the recordings have no scans."""
+def _changed_points(
+    first: ComparedRun, other: ComparedRun, above: rrb.EyeControls3D
+) -> rrb.Spatial3DView:
+    """The changed points before the scan's others, or before the map without scans."""
     name = f"This scan: its changed points, {first.letter} → {other.letter}"
     changed = entities.CHANGED_POINTS.format(other.letter)
     backdrop = first if first.scans or not other.scans else other
     if not backdrop.scans:
         return space(name, [f"{entities.GRID}/{first.letter}", changed], above, origin="/")
-    points = backdrop.path(entities.POINTS)
+    points, origin = backdrop.path(entities.POINTS), backdrop.path(entities.SCAN)
     faint = rr.Points3D.from_fields(colors=entities.BACKDROP_COLOR, radii=rr.Radius.ui_points(1.0))
-    return space(
-        name, [points, changed], behind_the_robot(), origin=backdrop.path(entities.SCAN), overrides={points: faint}
-    )
+    overrides = {points: faint}
+    return space(name, [points, changed], behind_the_robot(), origin=origin, overrides=overrides)
 
 
-def _curve(path: str, run: ComparedRun, title: str, scans: tuple[int, int] | None) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(
-        origin=path.format(run.letter),
-        name=title,
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
-        axis_x=_beside_legend(scans),
-    )
-
-
-def _beside_legend(scans: tuple[int, int] | None) -> rrb.archetypes.TimeAxis | None:
-    """The time axis of curves over these scans, with room for the legend at their right."""
-    if scans is None:
-        return None
-    first, last = scans
-    end = last + max(round(_LEGEND_SHARE * (last - first)), 1)
-    boundary = rr.TimeRangeBoundary.absolute
-    return rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=boundary(seq=first), end=boundary(seq=end)))
-
-
-def _side_by_side(runs: Sequence[ComparedRun], centre_m: tuple[float, float], extent_m: float) -> rrb.Container:
-    eye = aslant(centre_m, extent_m, (-0.3, -0.65, 0.65))
-    columns = [rrb.Vertical(*_scan_views(run), _growing_map(run, eye)) for run in runs]
-    return rrb.Horizontal(*columns, name="Side by side")
+def _curve(
+    path: str, run: ComparedRun, title: str, scans: tuple[int, int] | None
+) -> rrb.TimeSeriesView:
+    """A curve over the scans, with room for its legend at the right."""
+    axis = None
+    if scans is not None:
+        first, last = scans
+        end = last + max(round(_LEGEND_SHARE * (last - first)), 1)
+        boundary = rr.TimeRangeBoundary.absolute
+        view_range = rr.TimeRange(start=boundary(seq=first), end=boundary(seq=end))
+        axis = rrb.archetypes.TimeAxis(view_range=view_range)
+    legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
+    origin = path.format(run.letter)
+    return rrb.TimeSeriesView(origin=origin, name=title, plot_legend=legend, axis_x=axis)
 
 
 def _growing_map(run: ComparedRun, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
-    base = f"{entities.BASE}/**"
-    shown = (entities.MAP_POINTS, entities.TRAJECTORY, base, entities.WALLS, entities.DOORS, entities.WINDOWS)
-    return space(
-        f"{run.title}: growing map",
-        [run.path(path) for path in shown],
-        eye,
-        origin=run.path(entities.WORLD),
+    shown = (
+        entities.MAP_POINTS,
+        entities.TRAJECTORY,
+        f"{entities.BASE}/**",
+        entities.WALLS,
+        entities.DOORS,
+        entities.WINDOWS,
     )
+    paths, origin = [run.path(path) for path in shown], run.path(entities.WORLD)
+    return space(f"{run.title}: growing map", paths, eye, origin=origin)
 
 
 def _scan_views(run: ComparedRun) -> list[rrb.View]:
     if not run.scans:
         return []
+    openings, origin = run.path(entities.OPENINGS), run.path(entities.SCAN)
+    labelled = [run.path(entities.POINTS), openings]
+    reasons = [entities.UPMOST, entities.PLANES, f"{entities.SCAN_DOORS}/**"]
+    without_names = {openings: rr.LineStrips3D.from_fields(show_labels=False)}
+    title = f"{run.letter}: wall candidates, planes, doors (hover for the reason)"
     return [
+        space(f"{run.title}: labelled scan", labelled, behind_the_robot(), origin=origin),
         space(
-            f"{run.title}: labelled scan",
-            [run.path(entities.POINTS), run.path(entities.OPENINGS)],
+            title,
+            [run.path(path) for path in reasons],
             behind_the_robot(),
-            origin=run.path(entities.SCAN),
-        ),
-        space(
-            f"{run.letter}: wall candidates, planes, doors (rest the pointer on one: why)",
-            [run.path(entities.UPMOST), run.path(entities.PLANES), run.path(f"{entities.SCAN_DOORS}/**")],
-            behind_the_robot(),
-            origin=run.path(entities.SCAN),
-            overrides={run.path(entities.OPENINGS): rr.LineStrips3D.from_fields(show_labels=False)},
+            origin=origin,
+            overrides=without_names,
         ),
     ]

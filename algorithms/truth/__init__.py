@@ -1,1 +1,1 @@
-"""Results against the truth, or against each other: labels by area (paper, IV.B, eq. 3), doors, maps, rooms, runs."""
+"""Results compared with the ground truth, and runs compared with each other."""

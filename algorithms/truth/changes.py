@@ -1,191 +1,176 @@
-"""What differs between two runs of one drive, as it is counted, drawn and told."""
+"""Differences between two results on one drive: labels, walls, doors, map cells, poses.
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+The first result, A, is compared with the second, B: A has what was lost, B what was gained.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.labels import NO_RETURN, Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.segments import stretches
 from ffmap.algorithms.building.votes import VoxelVotes
-from ffmap.algorithms.truth.poses import TrajectoryFigures
-from ffmap.algorithms.truth.runs import CLASSES, DoorChange, GridChange, WallChange, changed_of
+from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.algorithms.truth.labels import UNLABELLED
 
+CLASSES = UNLABELLED + 1
+"""The labels, and last without a label."""
 CLASS_NAMES = (*(label.name.lower() for label in Label), "no label")
-COMPARABLE = ("labels", "planes", "trajectory", "walls", "doors", "grid")
 TRANSITIONS = CLASSES**2
+WALL_M, WALL_DEG = 0.1, 10.0
+"""Maximum distance (m) of and angle (°) between wall faces that are the same."""
+_STEP_M = 0.05
 
 
-@dataclass(frozen=True)
-class ScanChange:
-    """One scan that both runs labelled.
-
-    counts: (7, 7) points of class i in the first run and j in the second; by the final labels.
-    changed_scan: how many labels of the scan alone differ.
-    """
-
-    scan: int
-    stamp_ns: int
-    counts: IntArray
-    changed_scan: int
-
-    @property
-    def points(self) -> int:
-        """How many points either run labelled."""
-        return int(self.counts.sum())
-
-    @property
-    def changed(self) -> int:
-        """How many of them differ."""
-        return changed_of(self.counts)
+def transitions(label_a: UInt8Array, label_b: UInt8Array) -> tuple[UInt8Array, UInt8Array]:
+    """Return classes 0 to 6 of labels (m,) in A and B; 6 is without a label."""
+    before, after = (
+        np.where(label == NO_RETURN, UNLABELLED, label).astype(np.uint8)
+        for label in (label_a, label_b)
+    )
+    return before, after
 
 
-@dataclass(frozen=True)
-class ChangedPoints:
-    """The points of one scan whose labels differ: places in the map (c, 3), `before` and `after` (c,) classes 0 to 6."""
-
-    scan: int
-    stamp_ns: int
-    points_map: FloatArray
-    before: UInt8Array
-    after: UInt8Array
-
-    @property
-    def transition(self) -> UInt8Array:
-        """(c,) 7 × before + after."""
-        return np.asarray(self.before * CLASSES + self.after, np.uint8)
-
-
-@dataclass(frozen=True)
-class LabelChange:
-    """The labels of all scans.
-
-    only_a, only_b: clouds that one run labelled and the other did not. unlike: clouds whose number of points differs.
-    cubes: votes of the changed points for their transitions, by cubes of 10 cm.
-    """
-
-    scans: tuple[ScanChange, ...]
-    only_a: int
-    only_b: int
-    unlike: int
-    cubes: VoxelVotes
-
-    @property
-    def confusion(self) -> IntArray:
-        """(7, 7) summed over the scans."""
-        return sum_counts(scan.counts for scan in self.scans)
-
-    @property
-    def points(self) -> int:
-        """How many points either run labelled."""
-        return sum(s.points for s in self.scans)
-
-    @property
-    def changed(self) -> int:
-        """How many labels differ."""
-        return sum(s.changed for s in self.scans)
-
-    @property
-    def changed_scan(self) -> int:
-        """How many labels of the scans alone differ."""
-        return sum(s.changed_scan for s in self.scans)
-
-    @property
-    def worst(self) -> ScanChange | None:
-        """The scan with most changed labels; None where none changed."""
-        worst = max(self.scans, key=lambda s: s.changed, default=None)
-        return worst if worst is not None and worst.changed else None
-
-
-@dataclass(frozen=True)
-class PlaneChange:
-    """Wall planes of single scans: (s,) scans, their stamps, how many were lost and gained in each."""
-
-    scan: IntArray
-    stamp_ns: IntArray
-    lost: IntArray
-    gained: IntArray
-
-
-@dataclass(frozen=True)
-class DoorsCompared:
-    """Both runs' doors as GeoJSON features, and which are which."""
-
-    before: list[Any]
-    after: list[Any]
-    change: DoorChange
-
-    @property
-    def altered(self) -> list[tuple[int, int, str]]:
-        """Doors that both have and that differ: number in the first run, in the second, what differs."""
-        found = []
-        for i, j in enumerate(self.change.match.tolist()):
-            if j < 0:
-                continue
-            a, b = self.before[i]["properties"], self.after[j]["properties"]
-            parts = []
-            if a.get("state") != b.get("state"):
-                parts.append(f"{a.get('state')} → {b.get('state')}")
-            if abs(_number(a.get("width")) - _number(b.get("width"))) >= 0.01:
-                parts.append(f"width {_number(a.get('width')):.2f} → {_number(b.get('width')):.2f} m")
-            if parts:
-                found.append((i, j, ", ".join(parts)))
-        return found
-
-
-@dataclass(frozen=True)
-class TrajectoryChange:
-    """Poses at the same stamps: distances as they stand, and after the best rotation and shift."""
-
-    stamp_ns: IntArray
-    figures: TrajectoryFigures
-
-
-@dataclass(kw_only=True)
-class Changes:
-    """What differs between two runs; what could not be compared is None."""
-
-    labels: LabelChange | None = None
-    planes: PlaneChange | None = None
-    trajectory: TrajectoryChange | None = None
-    walls: WallChange | None = None
-    doors: DoorsCompared | None = None
-    grid: GridChange | None = None
-
-    @property
-    def compared(self) -> list[str]:
-        """What was compared."""
-        return [name for name in COMPARABLE if getattr(self, name) is not None]
-
-    @property
-    def differing(self) -> list[str]:
-        """Of what has a curve over the scans, what differs in any: labels of scans alone, planes, poses."""
-        differs = {
-            "labels": self.labels is not None and self.labels.changed_scan > 0,
-            "planes": self.planes is not None and bool(self.planes.lost.any() or self.planes.gained.any()),
-            "trajectory": self.trajectory is not None and bool(self.trajectory.figures.error_unaligned_m.any()),
-        }
-        return [name for name, differ in differs.items() if differ]
+def count_transitions(label_a: UInt8Array, label_b: UInt8Array) -> IntArray:
+    """Count points (7, 7) of class i in A and j in B, but those without a label in both."""
+    before, after = transitions(label_a, label_b)
+    joint = before.astype(np.int64) * CLASSES + after
+    counts = np.bincount(joint, minlength=TRANSITIONS).reshape(CLASSES, CLASSES)
+    counts[UNLABELLED, UNLABELLED] = 0
+    return counts
 
 
 def name_transition(code: int) -> str:
-    """As in wall → clutter."""
+    """Return as in "wall → clutter". code: 7 × class in A + class in B."""
     return f"{CLASS_NAMES[code // CLASSES]} → {CLASS_NAMES[code % CLASSES]}"
 
 
-def most_frequent(changes: Sequence[LabelChange], most: int) -> list[int]:
-    """The transitions that changed most points over all comparisons, the largest first."""
-    total = sum_counts(change.confusion for change in changes)
+def most_frequent(counts: Sequence[IntArray], most: int) -> list[int]:
+    """Return the codes of the transitions with most points over all (7, 7) counts."""
+    total = np.array(counts, np.int64).reshape(-1, CLASSES, CLASSES).sum(axis=0)
     np.fill_diagonal(total, 0)
     order = np.argsort(-total, axis=None, kind="stable")[:most]
     return [int(code) for code in order if total.flat[code] > 0]
 
 
-def sum_counts(counts: Iterable[IntArray]) -> IntArray:
-    """(7, 7) counts of transitions summed."""
-    return sum(counts, np.zeros((CLASSES, CLASSES), np.int64))
+@dataclass(frozen=True, eq=False)
+class LabelChange:
+    """Labels of the s scans that both runs have.
+
+    scan, stamp_ns: (s,). counts: (s, 7, 7) points by their classes in both runs.
+    changed_scan: (s,) number of labels of single scans that differ.
+    voxels: changed points in the map, by their transitions.
+    """
+
+    scan: IntArray
+    stamp_ns: IntArray
+    counts: IntArray
+    changed_scan: IntArray
+    voxels: VoxelVotes
+
+    @property
+    def points(self) -> IntArray:
+        """(s,) labelled points."""
+        return np.asarray(self.counts.sum(axis=(1, 2)))
+
+    @property
+    def changed(self) -> IntArray:
+        """(s,) final labels that differ."""
+        return np.asarray(self.points - np.trace(self.counts, axis1=1, axis2=2))
+
+    @property
+    def worst(self) -> int | None:
+        """Number of the scan with most changed labels; None if none changed."""
+        changed = self.changed
+        return int(self.scan[np.argmax(changed)]) if changed.any() else None
 
 
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else float("nan")
+@dataclass(eq=False, kw_only=True)
+class Changes:
+    """What differs between two results and where; empty or None for what was not compared.
+
+    lost, gained: "walls" (n, 2, 2) in pieces and "cells" (n, 2) of A or B alone.
+    doors: features of doors "lost", "gained" and "altered", each with a description.
+    poses: time stamps (p,), and distances (p,) in metres, in the map and aligned.
+    """
+
+    labels: LabelChange | None = None
+    lost: dict[str, FloatArray] = field(default_factory=dict)
+    gained: dict[str, FloatArray] = field(default_factory=dict)
+    doors: dict[str, list[tuple[Any, str]]] = field(default_factory=dict)
+    poses: tuple[IntArray, FloatArray, FloatArray] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class GridChange:
+    """Cells of two maps.
+
+    lost, gained: (n, 2) centres of cells that are occupied in A or B alone. kept: number occupied
+    in both. blocked, freed: numbers of cells that are free in A or B alone.
+    """
+
+    lost: FloatArray
+    gained: FloatArray
+    kept: int
+    blocked: int
+    freed: int
+
+
+def compare_grids(a: GridMap, b: GridMap) -> GridChange:
+    """Compare cells by their place. Raises ValueError if they differ in size."""
+    if not np.isclose(a.cell_m, b.cell_m):
+        raise ValueError(f"cells of {a.cell_m:g} m against cells of {b.cell_m:g} m")
+    # Both are laid over the smallest rectangle that holds both.
+    firsts = np.array([np.rint(grid.origin / grid.cell_m) for grid in (a, b)]).astype(np.int64)
+    low = firsts.min(axis=0)
+    stops = firsts + np.array([a.cells.shape, b.cells.shape])[:, ::-1]
+    columns, rows = stops.max(axis=0) - low
+    frame = GridMap(np.full((rows, columns), Cell.UNKNOWN, np.uint8), low * a.cell_m, a.cell_m)
+    cells_a, cells_b = (grid.cropped_to(frame).cells for grid in (a, b))
+    occupied_a, occupied_b = cells_a == Cell.OCCUPIED, cells_b == Cell.OCCUPIED
+    free_a, free_b = cells_a == Cell.FREE, cells_b == Cell.FREE
+    return GridChange(
+        lost=frame.middles(occupied_a & ~occupied_b),
+        gained=frame.middles(occupied_b & ~occupied_a),
+        kept=int(np.count_nonzero(occupied_a & occupied_b)),
+        blocked=int(np.count_nonzero(free_a & ~free_b)),
+        freed=int(np.count_nonzero(free_b & ~free_a)),
+    )
+
+
+def unmatched_walls(ends: FloatArray, others: FloatArray) -> FloatArray:
+    """Return the pieces (n, 2, 2) of wall faces along which none of the others runs."""
+    places, direction = _sampled(others)
+    tree = cKDTree(places) if len(places) else None
+    pieces: list[FloatArray] = []
+    for start, end in ends:
+        length_m = float(np.linalg.norm(end - start))
+        count = max(1, round(length_m / _STEP_M))
+        along = (end - start) / max(length_m, 1e-9)
+        middles = start + (end - start) * ((np.arange(count) + 0.5) / count)[:, None]
+        covered = np.zeros(count, bool)
+        if tree is not None:
+            for k, near in enumerate(tree.query_ball_point(middles, WALL_M)):
+                cosine = np.abs(direction[near] @ along)
+                covered[k] = bool(np.any(cosine >= np.cos(np.radians(WALL_DEG))))
+        for first, last in stretches(~covered, 0):
+            piece = start + (end - start) * np.array([[first / count], [(last + 1) / count]])
+            # Shorter pieces are ends that moved by less than two cells.
+            if np.linalg.norm(piece[1] - piece[0]) >= 2 * _STEP_M:
+                pieces.append(piece)
+    return np.array(pieces).reshape(-1, 2, 2)
+
+
+def _sampled(ends: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sample faces at most half a step apart: places (n, 2), and directions of their faces."""
+    places, directions = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for start, end in ends:
+        length_m = float(np.linalg.norm(end - start))
+        part = np.linspace(0, 1, max(2, int(np.ceil(length_m / (0.5 * _STEP_M))) + 1))[:, None]
+        places.append(start + (end - start) * part)
+        directions.append(np.tile((end - start) / max(length_m, 1e-9), (len(part), 1)))
+    return np.concatenate(places), np.concatenate(directions)

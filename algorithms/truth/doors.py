@@ -1,28 +1,34 @@
-"""Doors against the truth: which were passed, found, missed and invented (paper, IV.B)."""
+"""Doors against the ground truth: which were passed, found, missed and invented (paper, IV.B)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
-from ffmap.algorithms.truth.labels import ratio
 
-DOOR_NEAR_M = 0.3
-DOOR_RANGE_M = 6.0
-DOOR_RETURNS = 200
-"""A door was passed if this many returns lie this near to its frame or leaf (m), taken from within the range (m)."""
+RETURNS_MIN = 200
+"""A door was passed if this many returns lie near its frame or leaf,"""
+NEAR_M = 0.3
+"""at most this far (m) from it,"""
+RANGE_M = 6.0
+"""measured from at most this far (m)."""
+MATCH_M = 0.3
+"""Maximum distance (m) of the midpoints of matching doors."""
+MATCH_DEG = 15.0
+"""Maximum angle (°) between matching doors."""
 
 
 @dataclass(frozen=True)
 class TrueDoors:
-    """Doors as built, in the map.
+    """Doors of the ground truth, in the map.
 
-    ends: (D, 2, 2) x and y of the two jambs, along the sill; between them lies the clear width.
-    head_m: (D,) height of the frame's head above the floor.
-    leaves: one array (k, 2, 2) for each door: x and y of the hinge's and of the free edge of its k leaves.
-    state: (D,) uint8, see `algorithms.doors.DoorState`; open means ajar by more than 10 cm.
+    ends: (D, 2, 2) the two jambs, along the sill; between them lies the clear width.
+    head_m: (D,) height of the lintel's underside above the floor.
+    leaves: for each door (k, 2, 2), the hinge and the free edge of its k leaves.
+    state: (D,) `DoorState`; open means ajar by more than 10 cm.
     """
 
     ends: FloatArray
@@ -36,9 +42,9 @@ class TrueDoors:
 
 @dataclass(frozen=True)
 class FoundDoors:
-    """Doors that a run claims, in the map.
+    """Doors that a run detected, in the map.
 
-    ends: (E, 2, 2) x and y of the jambs along the sill. width_m: (E,). state: (E,) uint8, see `DoorState`.
+    ends: (E, 2, 2) the jambs along the sill. width_m: (E,). state: (E,) `DoorState`.
     """
 
     ends: FloatArray
@@ -50,13 +56,13 @@ class FoundDoors:
 
 
 @dataclass(frozen=True)
-class DoorFigures:
-    """Doors found, missed and invented.
+class DoorComparison:
+    """Detections matched with true doors.
 
-    passed: (D,) bool, whether the true door was passed. match: (D,) the detection that matches each, -1 for none.
-    detections: how many doors the run claims.
-    width_error_m: (k,) found minus true clear width, of the matched doors that were passed.
-    state_right: (k,) bool, of the same.
+    passed: (D,) whether the true door was passed. match: (D,) its detection, -1 for none.
+    detections: number of detections.
+    width_error_m, state_right: (k,) of the matched doors that were passed: detected minus true
+        clear width, and whether the state is right.
     """
 
     passed: BoolArray
@@ -65,56 +71,34 @@ class DoorFigures:
     width_error_m: FloatArray
     state_right: BoolArray
 
-    @property
-    def found_count(self) -> int:
-        return int(np.count_nonzero(self.passed & (self.match >= 0)))
 
-    @property
-    def invented_count(self) -> int:
-        """Detections that match no true door, passed or not."""
-        return self.detections - int(np.count_nonzero(self.match >= 0))
-
-    @property
-    def found(self) -> float:
-        return ratio(self.found_count, int(np.count_nonzero(self.passed)))
-
-    @property
-    def invented(self) -> float:
-        return ratio(self.invented_count, self.detections)
-
-
-def compare_doors(true: TrueDoors, door_returns: IntArray, found: FoundDoors) -> DoorFigures:
-    """Match detections to true doors one to one, nearest sill midpoints first, and count."""
-    passed = np.asarray(door_returns) >= DOOR_RETURNS
+def compare_doors(true: TrueDoors, door_returns: IntArray, found: FoundDoors) -> DoorComparison:
+    """Match detections with true doors; `door_returns` (D,) are those near each true door."""
+    passed = np.asarray(door_returns) >= RETURNS_MIN
     match = match_doors(true.ends, found.ends)
     both = passed & (match >= 0)
-    true_width = lengths_m(true.ends)
-    return DoorFigures(
+    return DoorComparison(
         passed=passed,
         match=match,
         detections=len(found),
-        width_error_m=found.width_m[match[both]] - true_width[both],
+        width_error_m=found.width_m[match[both]] - lengths_m(true.ends)[both],
         state_right=found.state[match[both]] == true.state[both],
     )
 
 
 def match_doors(ends: FloatArray, others: FloatArray) -> IntArray:
-    """(n,) the one of the others that each door is, -1 for none: one to one, nearest midpoints of the sills first.
+    """Match doors (n, 2, 2) one to one with others (m, 2, 2), nearest midpoints first.
 
-    ends, others: (n, 2, 2), (m, 2, 2) sills. Midpoints within 0.3 m, directions within 15°.
+    Returns (n,) the index of each door's partner, -1 for none.
     """
     if not len(ends) or not len(others):
         return np.full(len(ends), -1)
     distance_m = np.linalg.norm(ends.mean(axis=1)[:, None] - others.mean(axis=1), axis=2)
     cosine = np.abs(np.sum(_direction(ends)[:, None] * _direction(others), axis=2))
-    return match_nearest(distance_m, (distance_m <= 0.3) & (cosine >= np.cos(np.radians(15.0))))
-
-
-def match_nearest(distance: FloatArray, possible: BoolArray) -> IntArray:
-    """(n,) the column that each row of a matrix (n, m) is matched with, -1 for none: one to one, nearest first."""
-    match, taken = np.full(len(distance), -1), np.zeros(distance.shape[1], bool)
+    possible = (distance_m <= MATCH_M) & (cosine >= np.cos(np.radians(MATCH_DEG)))
+    match, taken = np.full(len(ends), -1), np.zeros(len(others), bool)
     pairs = np.argwhere(possible)
-    for i, j in pairs[np.argsort(distance[possible], kind="stable")]:
+    for i, j in pairs[np.argsort(distance_m[possible], kind="stable")]:
         if match[i] < 0 and not taken[j]:
             match[i], taken[j] = j, True
     return match
@@ -125,65 +109,54 @@ def _direction(ends: FloatArray) -> FloatArray:
     return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9))
 
 
-def door_edges(doors: TrueDoors) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Frames and leaves as upright rectangles and edges that returns can be near to.
+class DoorPanels(NamedTuple):
+    """Jambs, lintel and leaves of a door as upright rectangles.
 
-    Returns panels (p, 2, 2), their height range (p, 2) and their door (p,): two jambs (panels without width), the
-    head (a panel without height) and the leaves.
+    panels: (k, 2, 2); a jamb has no width.
+    heights: (k, 2) bottom and top; the lintel has no height.
+    low, high: (2,) corners of the area in which returns can be near.
     """
-    panels, heights, owner = [], [], []
-    for door, (ends, head_m, leaves) in enumerate(zip(doors.ends, doors.head_m, doors.leaves, strict=True)):
-        jambs = ends[:, None].repeat(2, axis=1)  # without width
-        for panel, bottom_m in ((jambs[0], 0.0), (jambs[1], 0.0), (ends, head_m), *((leaf, 0.0) for leaf in leaves)):
-            panels.append(panel)
-            heights.append((bottom_m, head_m))
-            owner.append(door)
-    return (
-        np.array(panels, np.float64).reshape(-1, 2, 2),
-        np.array(heights, np.float64).reshape(-1, 2),
-        np.array(owner, np.int64),
-    )
+
+    panels: FloatArray
+    heights: FloatArray
+    low: FloatArray
+    high: FloatArray
 
 
-@numba.njit(cache=True, nogil=True)
+def door_panels(doors: TrueDoors) -> list[DoorPanels]:
+    """Return what returns can be near to, door by door."""
+    found = []
+    for ends, head_m, leaves in zip(doors.ends, doors.head_m, doors.leaves, strict=True):
+        jambs = ends[:, None].repeat(2, axis=1)
+        panels = np.array([*jambs, ends, *leaves], np.float64)
+        heights = np.tile([0.0, head_m], (len(panels), 1))
+        heights[2, 0] = head_m
+        low, high = panels.min(axis=(0, 1)) - NEAR_M, panels.max(axis=(0, 1)) + NEAR_M
+        found.append(DoorPanels(panels, heights, low, high))
+    return found
+
+
 def count_near(
-    points: FloatArray, origin: FloatArray, panels: FloatArray, heights: FloatArray, owner: IntArray, returns: IntArray
-) -> None:  # pragma: no cover
-    """Count each return once for each door that has a panel within `DOOR_NEAR_M` of it."""
-    first = 0
-    while first < len(owner):
-        last = first
-        low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
-        while last < len(owner) and owner[last] == owner[first]:
-            for end in range(2):
-                low_x, high_x = min(low_x, panels[last, end, 0]), max(high_x, panels[last, end, 0])
-                low_y, high_y = min(low_y, panels[last, end, 1]), max(high_y, panels[last, end, 1])
-            last += 1
-        low_x, low_y = low_x - DOOR_NEAR_M, low_y - DOOR_NEAR_M
-        high_x, high_y = high_x + DOOR_NEAR_M, high_y + DOOR_NEAR_M
-        # A door whose nearest place is out of reach has no return that was taken from near enough.
-        away_x = max(low_x - origin[0], 0.0, origin[0] - high_x)
-        away_y = max(low_y - origin[1], 0.0, origin[1] - high_y)
-        if away_x**2 + away_y**2 <= DOOR_RANGE_M**2:
-            for i in range(len(points)):
-                x, y, z = points[i, 0], points[i, 1], points[i, 2]
-                if x < low_x or x > high_x or y < low_y or y > high_y:
-                    continue
-                reach = (x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2
-                if reach > DOOR_RANGE_M**2:
-                    continue
-                for k in range(first, last):
-                    above = max(heights[k, 0] - z, 0.0, z - heights[k, 1])
-                    if squared_distance(x, y, panels[k]) + above**2 <= DOOR_NEAR_M**2:
-                        returns[owner[k]] += 1
-                        break
-        first = last
+    points: FloatArray, origin: FloatArray, doors: Sequence[DoorPanels], returns: IntArray
+) -> None:
+    """Add the number of points (n, 3) near each door to `returns` (D,). origin: (3,) sensor."""
+    for door, own in enumerate(doors):
+        away = np.maximum(np.maximum(own.low - origin[:2], origin[:2] - own.high), 0.0)
+        if (away**2).sum() > RANGE_M**2:
+            continue
+        inside = ((points[:, :2] >= own.low) & (points[:, :2] <= own.high)).all(axis=1)
+        x, y, z = (points[inside] - origin).T
+        places = points[inside][x**2 + y**2 + z**2 <= RANGE_M**2]
+        near = np.zeros(len(places), bool)
+        for panel, (bottom_m, top_m) in zip(own.panels, own.heights, strict=True):
+            above_m = np.maximum(np.maximum(bottom_m - places[:, 2], places[:, 2] - top_m), 0.0)
+            near |= squared_distances(places[:, :2], panel) + above_m**2 <= NEAR_M**2
+        returns[door] += np.count_nonzero(near)
 
 
-@numba.njit(cache=True, nogil=True)
-def squared_distance(x: float, y: float, segment: FloatArray) -> float:  # pragma: no cover
-    along_x, along_y = segment[1, 0] - segment[0, 0], segment[1, 1] - segment[0, 1]
-    to_x, to_y = x - segment[0, 0], y - segment[0, 1]
+def squared_distances(points: FloatArray, segment: FloatArray) -> FloatArray:
+    """Return the squared distances (n,) of points (n, 2) from a segment (2, 2)."""
+    (x, y), (along_x, along_y) = (points - segment[0]).T, segment[1] - segment[0]
     length = along_x**2 + along_y**2
-    t = min(max((to_x * along_x + to_y * along_y) / length, 0.0), 1.0) if length > 0 else 0.0
-    return float((to_x - t * along_x) ** 2 + (to_y - t * along_y) ** 2)
+    t = np.clip((x * along_x + y * along_y) / length, 0.0, 1.0) if length > 0 else 0.0
+    return np.asarray((x - t * along_x) ** 2 + (y - t * along_y) ** 2)

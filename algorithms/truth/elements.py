@@ -1,11 +1,9 @@
-"""Which kinds of walls, doors and ceilings a method misses: labels by the part of the building that they lie on.
-
-The truth may say where its parts are: polygons in the plan with a height range and the class that their returns have.
-"""
+"""Labels and doors by the part of the building, where the ground truth describes its parts."""
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -13,17 +11,16 @@ import shapely
 from ffmap.algorithms.base.labels import Label, Truth
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.building.votes import VoxelVotes
-from ffmap.algorithms.truth.doors import DoorFigures
-from ffmap.algorithms.truth.labels import ratio
+from ffmap.algorithms.truth.doors import DoorComparison
 from ffmap.algorithms.truth.tally import majorities
 
 REST = "wall, any other"
-"""The walls that lie on no element: what the elements are measured against."""
+"""The walls that belong to no element."""
 
 
 @dataclass(frozen=True)
 class Element:
-    """A part of a building. area: in the map (m). z_m: its lowest and highest place. truth: class of its returns."""
+    """A part of a building: its area in the map, bottom and top (m), and class of its returns."""
 
     name: str
     truth: Truth
@@ -31,64 +28,54 @@ class Element:
     z_m: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class ElementFigures:
-    """How the cubes of all elements of a name were labelled, and how many such elements were seen at all."""
+def tally_elements(elements: Sequence[Element], voxels: VoxelVotes) -> dict[str, dict[str, Any]]:
+    """Count the voxels of elements by their labels; a voxel counts in every element that holds it.
 
-    truth: Truth
-    seen: int
-    labels: Mapping[str, int]
-
-    @property
-    def cubes(self) -> int:
-        return sum(self.labels.values())
-
-    @property
-    def recall(self) -> float:
-        """The share of cubes with the label of their class."""
-        return ratio(self.labels.get(self.truth.name.lower(), 0), self.cubes)
-
-
-def tally_elements(elements: Sequence[Element], cubes: VoxelVotes) -> dict[str, ElementFigures]:
-    """By name, and `REST`; cubes count in every element that holds them."""
-    truth, label = majorities(cubes)
+    Returns by name and for `REST`: truth, the class; seen, how many such elements hold a voxel;
+    cubes, how many voxels; recall, the share with the label of the class; labels, counts by label.
+    """
+    truth, label = majorities(voxels)
     names = np.array([*(own.name.lower() for own in Label), "unlabelled"])[label]
-    place: FloatArray = cubes.mean_position
+    place: FloatArray = voxels.mean_position
     counts: dict[str, Counter[str]] = defaultdict(Counter)
     seen: Counter[str] = Counter()
-    classes = {element.name: element.truth for element in elements} | {REST: Truth.WALL}
     rest: BoolArray = truth == Truth.WALL
     tree = shapely.STRtree(shapely.points(place[:, :2]))
     for element in elements:
         within = tree.query(element.area, predicate="intersects")
         z = place[within, 2]
-        own = within[(truth[within] == element.truth) & (z >= element.z_m[0]) & (z <= element.z_m[1])]
+        inside = (truth[within] == element.truth) & (z >= element.z_m[0]) & (z <= element.z_m[1])
+        own = within[inside]
         counts[element.name].update(names[own].tolist())
         seen[element.name] += len(own) > 0
         rest[own] = False
     counts[REST].update(names[rest].tolist())
-    return {name: ElementFigures(classes[name], seen[name], counts[name]) for name in sorted(counts) if counts[name]}
-
-
-@dataclass(frozen=True)
-class DesignFigures:
-    """Doors of one design: how many were passed, how many of those found, and how many of those with the right state."""
-
-    passed: int
-    found: int
-    state_right: int
-
-    @property
-    def recall(self) -> float:
-        return ratio(self.found, self.passed)
-
-
-def doors_by_design(designs: Sequence[str], figures: DoorFigures) -> dict[str, DesignFigures]:
-    """designs: (D,) of the true doors, in words."""
-    both = np.flatnonzero(figures.passed & (figures.match >= 0))
-    right = {int(door): bool(state) for door, state in zip(both, figures.state_right, strict=True)}
+    classes = {element.name: element.truth for element in elements} | {REST: Truth.WALL}
     found = {}
-    for design in sorted(set(designs)):
-        own = [i for i, name in enumerate(designs) if name == design and figures.passed[i]]
-        found[design] = DesignFigures(len(own), sum(i in right for i in own), sum(right.get(i, False) for i in own))
-    return {design: figures for design, figures in found.items() if figures.passed}
+    for name in sorted(counts):
+        own_class, cubes = classes[name].name.lower(), counts[name].total()
+        if cubes:
+            found[name] = {
+                "truth": own_class,
+                "seen": seen[name],
+                "cubes": cubes,
+                "recall": counts[name][own_class] / cubes,
+                "labels": dict(counts[name]),
+            }
+    return found
+
+
+def doors_by_design(designs: Sequence[str], doors: DoorComparison) -> dict[str, dict[str, int]]:
+    """Count doors passed, found and with the right state, by design.
+
+    designs: (D,) of the true doors; a design without a door that was passed is left out.
+    """
+    both = np.flatnonzero(doors.passed & (doors.match >= 0))
+    right = dict(zip(both.tolist(), doors.state_right.tolist(), strict=True))
+    found: dict[str, dict[str, int]] = {}
+    for door in np.flatnonzero(doors.passed).tolist():
+        own = found.setdefault(designs[door], {"passed": 0, "found": 0, "state_right": 0})
+        own["passed"] += 1
+        own["found"] += door in right
+        own["state_right"] += right.get(door, False)
+    return dict(sorted(found.items()))

@@ -1,54 +1,35 @@
-"""What is counted of each labelled scan against the truth: points, the area of each class, returns at doors.
+"""Counts of labelled scans against the ground truth: points, areas, returns near doors."""
 
-What is counted block by block adds up to the same sum in any order and in any portions; figures are made from the sum.
-"""
-
-from dataclasses import dataclass
-
-import numba
 import numpy as np
 
 from ffmap.algorithms.base.labels import NO_RETURN, Truth
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
-from ffmap.algorithms.truth.doors import TrueDoors, count_near, door_edges
+from ffmap.algorithms.truth.doors import TrueDoors, count_near, door_panels
 from ffmap.algorithms.truth.labels import UNLABELLED
 
-CUBE_M = 0.05  # edge of the cubes that area is counted in, and of the wall map's true cells
-
+VOXEL_M = 0.05
+"""Edge of the voxels that areas are counted in, and of the cells of true walls."""
 _TRUTHS, _LABELS = len(Truth), UNLABELLED + 1
 
 
-@dataclass(frozen=True)
 class Tally:
-    """What was counted over some scans.
+    """Counts of scans; those of several processes add up to the same sum in any order.
 
-    cubes: votes of every cube: first for each `Truth`, then for each column of `confusion_points`, then the same
-        columns again for the labels of single scans.
-    confusion_points, confusion_points_scan: (11, 7) int64, points by `Truth` and `Label` (last column: unlabelled),
-        for the labels of the building and for those of single scans.
-    door_returns: (D,) int64, returns near each true door's frame or leaf, taken from near enough.
-    scans: how many scans were counted; skipped: how many had no label at all and were left out.
+    Attributes:
+        confusion_points: (2, 11, 7) points by `Truth` and `Label` (last column: without a label),
+            first of the final labels, then of the labels of single scans.
+        door_returns: (D,) returns near each true door's frame or leaf.
+        scans, skipped, without_truth: numbers of scans that were counted, that have no label, and
+            that have no ground truth.
     """
 
-    cubes: VoxelVotes
-    confusion_points: IntArray
-    confusion_points_scan: IntArray
-    door_returns: IntArray
-    scans: int
-    skipped: int
-
-
-class Counter:
-    """Counts scans into a `Tally`; also takes in other tallies, so that processes can count side by side."""
-
     def __init__(self, doors: TrueDoors) -> None:
-        self._doors = door_edges(doors)
-        self._cubes = VoxelTable(CUBE_M, _TRUTHS + 2 * _LABELS)
-        self._confusion = np.zeros((2, _TRUTHS, _LABELS), np.int64)
-        self._door_returns: IntArray = np.zeros(len(doors), np.int64)
-        self._scans = 0
-        self._skipped = 0
+        self._doors = door_panels(doors)
+        self._table = VoxelTable(VOXEL_M, _TRUTHS + 2 * _LABELS)
+        self.confusion_points = np.zeros((2, _TRUTHS, _LABELS), np.int64)
+        self.door_returns: IntArray = np.zeros(len(doors), np.int64)
+        self.scans = self.skipped = self.without_truth = 0
 
     def add(
         self,
@@ -58,75 +39,53 @@ class Counter:
         label: UInt8Array,
         label_scan: UInt8Array,
     ) -> None:
-        """Count one scan. A scan without any label was skipped by the run and is left out; a return without truth too.
+        """Count one scan; without any label it was skipped by the run.
 
-        points_map: (n, 3) its returns, placed with the TRUE poses. origin_map: (3,) where the sensor stood.
-        truth: (n,) see `Truth`; label, label_scan: (n,) see `Label`.
+        Args:
+            points_map: (n, 3) its returns, placed with the true poses.
+            origin_map: (3,) position of the sensor.
+            truth: (n,) see `Truth`. label, label_scan: (n,) see `Label`.
         """
         if not len(label) or label.min() == NO_RETURN:
-            self.skip()
+            self.skipped += 1
             return
-        self._scans += 1
-        points_map, codes = _count_points(points_map, truth, label, label_scan, self._confusion)
-        self._cubes.add(points_map, *codes)
-        count_near(points_map, np.asarray(origin_map, np.float64), *self._doors, self._door_returns)
+        self.scans += 1
+        known = np.isfinite(points_map).all(axis=1) & (truth < _TRUTHS)
+        points, truth = points_map[known].astype(np.float64), truth[known]
+        labels = [np.minimum(own[known], UNLABELLED) for own in (label, label_scan)]
+        for confusion, own in zip(self.confusion_points, labels, strict=True):
+            confusion += _confusion(truth, own)
+        codes = (truth, _TRUTHS + labels[0], _TRUTHS + _LABELS + labels[1])
+        self._table.add(points, *(code.astype(np.uint8) for code in codes))
+        count_near(points, np.asarray(origin_map, np.float64), self._doors, self.door_returns)
 
-    def skip(self) -> None:
-        """Count a scan that the run skipped."""
-        self._skipped += 1
+    def absorb(self, other: "Tally") -> None:
+        """Add the counts of other scans against the same doors."""
+        self._table.absorb(other._table.votes())
+        self.confusion_points += other.confusion_points
+        self.door_returns += other.door_returns
+        self.scans += other.scans
+        self.skipped += other.skipped
+        self.without_truth += other.without_truth
 
-    def absorb(self, tally: Tally) -> None:
-        """Add what another process counted against the same doors."""
-        self._cubes.absorb(tally.cubes)
-        self._confusion[0] += tally.confusion_points
-        self._confusion[1] += tally.confusion_points_scan
-        self._door_returns += tally.door_returns
-        self._scans += tally.scans
-        self._skipped += tally.skipped
-
-    def tally(self) -> Tally:
-        """What was counted so far."""
-        return Tally(
-            cubes=self._cubes.votes(),
-            confusion_points=self._confusion[0].copy(),
-            confusion_points_scan=self._confusion[1].copy(),
-            door_returns=self._door_returns.copy(),
-            scans=self._scans,
-            skipped=self._skipped,
-        )
+    def voxels(self) -> VoxelVotes:
+        """Return the votes of all voxels, see `majorities`."""
+        return self._table.votes()
 
 
-def majorities(cubes: VoxelVotes, single_scans: bool = False) -> tuple[UInt8Array, UInt8Array]:
-    """The `Truth` and the `Label` (m,) of each cube: its majority's (of equals the lower code)."""
+def majorities(voxels: VoxelVotes, single_scans: bool = False) -> tuple[UInt8Array, UInt8Array]:
+    """Return the `Truth` and `Label` (m,) with most votes in each voxel; of equals the lower."""
     first = _TRUTHS + (_LABELS if single_scans else 0)
-    return majority(cubes.counts[:, :_TRUTHS]), majority(cubes.counts[:, first : first + _LABELS])
+    labels = voxels.counts[:, first : first + _LABELS]
+    return majority(voxels.counts[:, :_TRUTHS]), majority(labels)
 
 
-def confusion_by_area(cubes: VoxelVotes, single_scans: bool = False) -> IntArray:
-    """(11, 7) int64: cubes by their `majorities`."""
-    truth, label = majorities(cubes, single_scans)
+def confusion_by_area(voxels: VoxelVotes, single_scans: bool = False) -> IntArray:
+    """Count voxels (11, 7) by their `majorities`."""
+    return _confusion(*majorities(voxels, single_scans))
+
+
+def _confusion(truth: UInt8Array, label: UInt8Array) -> IntArray:
+    """(11, 7) numbers of pairs by `Truth` and `Label`."""
     joint = truth.astype(np.intp) * _LABELS + label
     return np.bincount(joint, minlength=_TRUTHS * _LABELS).reshape(_TRUTHS, _LABELS)
-
-
-@numba.njit(cache=True, nogil=True)
-def _count_points(
-    points: FloatArray, truth: UInt8Array, label: UInt8Array, label_scan: UInt8Array, confusion: IntArray
-) -> tuple[FloatArray, UInt8Array]:  # pragma: no cover
-    """Count the points whose truth is known; return them, and the votes (3, m) that each has for its cube."""
-    kept: FloatArray = np.empty((len(points), 3), np.float64)
-    codes: UInt8Array = np.empty((3, len(points)), np.uint8)
-    n = 0
-    for i in range(len(points)):
-        finite = np.isfinite(points[i, 0]) and np.isfinite(points[i, 1]) and np.isfinite(points[i, 2])
-        if not finite or truth[i] >= _TRUTHS:
-            continue
-        column, column_scan = min(label[i], UNLABELLED), min(label_scan[i], UNLABELLED)
-        confusion[0, truth[i], column] += 1
-        confusion[1, truth[i], column_scan] += 1
-        kept[n] = points[i]
-        codes[0, n] = truth[i]
-        codes[1, n] = _TRUTHS + column
-        codes[2, n] = _TRUTHS + _LABELS + column_scan
-        n += 1
-    return kept[:n], codes[:, :n]

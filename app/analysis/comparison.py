@@ -1,62 +1,88 @@
-"""A run against another: what can be compared of their files, and what differs.
+"""Compare the first of several runs with each of the others.
 
-Everything is a plain value or array that the recorder draws, the terminal shows and comparison.json keeps.
+Everything is a number, an array or text that the terminal, the recording and comparison.json show.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.truth.changes import (
-    COMPARABLE,
+    CLASSES,
     TRANSITIONS,
-    ChangedPoints,
     Changes,
-    DoorsCompared,
     LabelChange,
-    PlaneChange,
-    ScanChange,
-    TrajectoryChange,
-)
-from ffmap.algorithms.truth.poses import compare_trajectories
-from ffmap.algorithms.truth.runs import (
-    changed_of,
-    classes_of,
-    compare_doors,
     compare_grids,
-    compare_walls,
-    match_planes,
+    count_transitions,
+    most_frequent,
+    name_transition,
     transitions,
+    unmatched_walls,
 )
-from ffmap.app.analysis.run_labels import has_points, labels_file, pair, read_run_labels, side_by_side
+from ffmap.algorithms.truth.doors import match_doors
+from ffmap.algorithms.truth.poses import compare_trajectories
+from ffmap.app.analysis.figures import Figure, read_figures
+from ffmap.app.analysis.run_labels import CloudLabels, labels_file, read_run_labels, side_by_side
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.map_files import read_map
-from ffmap.app.folder.names import DOORS, LABELS, METRICS, TRAJECTORY, WALLS, map_file
-from ffmap.app.record.read_back import ReadableRecording, Row, rows
+from ffmap.app.folder.names import DOORS, LABELS, TRAJECTORY, WALLS, map_file
+from ffmap.app.record.read_back import ReadableRecording
 from ffmap.blueprints import entities
 from ffmap.loaders.geojson import read_features, segments
-from ffmap.loaders.text_files import dotted_keys, read_object
+from ffmap.loaders.text_files import dotted_keys
 from ffmap.loaders.trajectory_file import read_tum
 
-CUBE_M = 0.1
-"""Edge of the cubes in which changed points are gathered for the map."""
-_AGAIN = "run ffmap again"
-_OTHER_BAG = "the runs are of different bags"
+VOXEL_M = 0.1
+"""Edge of the voxels that changed points are shown by in the map."""
+_WIDTH_M = 0.01
+"""Widths of doors that differ by less are the same."""
+_ADVICE = "run ffmap again"
+
+CHANGES = {
+    "labels.changed": Figure("labels changed"),
+    "labels.changed_share": Figure("labels changed", "%"),
+    "labels.changed_scan": Figure("labels of single scans changed"),
+    "labels.points": Figure("points compared"),
+    "labels.scans": Figure("scans compared"),
+    "labels.scans_only_a": Figure("scans of the first run alone"),
+    "labels.scans_only_b": Figure("scans of the other run alone"),
+    "labels.scans_unlike": Figure("scans of different size, left out"),
+    "trajectory.mean_m": Figure("distance of poses, mean", "cm"),
+    "trajectory.max_m": Figure("distance of poses, largest", "cm"),
+    "trajectory.aligned_mean_m": Figure("distance of aligned poses, mean", "cm"),
+    "trajectory.aligned_max_m": Figure("distance of aligned poses, largest", "cm"),
+    "trajectory.poses": Figure("poses compared"),
+    "walls.lost_m": Figure("wall faces lost", "m"),
+    "walls.gained_m": Figure("wall faces gained", "m"),
+    "walls.length_m": Figure("wall faces compared", "m"),
+    "doors.lost": Figure("doors lost"),
+    "doors.gained": Figure("doors gained"),
+    "doors.altered": Figure("doors altered"),
+    "doors.compared": Figure("doors compared"),
+    "grid.occupied_lost": Figure("occupied cells lost"),
+    "grid.occupied_gained": Figure("occupied cells gained"),
+    "grid.occupied_kept": Figure("occupied cells kept"),
+    "grid.free_lost": Figure("free cells lost"),
+    "grid.free_gained": Figure("free cells gained"),
+}
+"""Numbers that describe what differs between two runs."""
+
+ChangedPoints = Callable[[str, CloudLabels, FloatArray, UInt8Array, UInt8Array], None]
+"""Receives the second run's letter, each compared cloud, and positions (c, 3), classes before (c,)
+and classes after (c,) of its changed points."""
 
 
 @dataclass(frozen=True)
 class RunToCompare:
-    """One of the runs, under the letter that it has in the comparison.
-
-    recording: None where it has none that can be read.
-    """
+    """A run under its letter. recording: None without one that can be read."""
 
     letter: str
     run: FinishedRun
@@ -64,222 +90,269 @@ class RunToCompare:
 
     @property
     def title(self) -> str:
+        """Letter and name."""
         return f"{self.letter}: {self.run.name}"
 
+    @property
+    def grid(self) -> GridMap | None:
+        """The furniture-free map."""
+        path = self.run.file(map_file(entities.FURNITURE_FREE))
+        return read_map(path) if path is not None else None
 
-@dataclass(kw_only=True)
-class PairChange(Changes):
-    """What differs between two runs; `refused` says why something could not be compared."""
+
+@dataclass(eq=False, kw_only=True)
+class Change(Changes):
+    """Differences between two runs.
+
+    figures: by the names of `CHANGES`. details: what comparison.json holds beside them.
+    not_compared: why, by subject.
+    """
 
     a: RunToCompare
     b: RunToCompare
-    refused: dict[str, str] = field(default_factory=dict)
+    figures: dict[str, float] = field(default_factory=dict)
+    details: dict[str, Any] = field(default_factory=dict)
+    not_compared: dict[str, str] = field(default_factory=dict)
 
     @property
     def same_bag(self) -> bool:
-        """Whether both runs are of the same bag, so that they have clouds and a map frame in common."""
+        """Whether both runs have clouds and a map frame in common."""
         return self.a.run.labelled_same_clouds(self.b.run)
 
     @property
-    def reasons(self) -> dict[str, str]:
-        """What could not be compared, together where the reason is the same, and that reason."""
-        reasons = dict.fromkeys(self.refused.values())
-        return {", ".join(name for name in self.refused if self.refused[name] == why): why for why in reasons}
+    def compared(self) -> list[str]:
+        """The subjects that were compared."""
+        return [subject for subject in _SUBJECTS if subject not in self.not_compared]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The first run against each of the others, and what was to be said on the way.
+    """The first run compared with each of the others.
 
-    settings, provenance: what is not the same in all runs. figures: all that any run has. Each has one value a run.
+    settings: with options and versions, those that differ. figures: all. One value for each run.
     """
 
     runs: tuple[RunToCompare, ...]
-    changes: tuple[PairChange, ...]
+    changes: tuple[Change, ...]
     settings: dict[str, list[Any]]
-    provenance: dict[str, list[Any]]
     figures: dict[str, list[float | None]]
     warnings: tuple[str, ...]
 
+    @property
+    def most_changed(self) -> tuple[str | None, int | None]:
+        """Letter and worst scan of the run with most changed labels; None if none changed."""
+        changed = [change for change in self.changes if change.figures.get("labels.changed")]
+        if not changed:
+            return None, None
+        most = max(changed, key=lambda change: change.figures["labels.changed"])
+        assert most.labels is not None
+        return most.b.letter, most.labels.worst
 
-def differing_settings(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
-    """The settings that are not the same in all runs, by their dotted names; None where a run has no such setting."""
-    return _differing([dotted_keys(run.part("settings")) for run in runs])
+
+class _NotComparableError(Exception):
+    """A subject that two runs cannot be compared by."""
 
 
-def differing_provenance(runs: Sequence[FinishedRun]) -> dict[str, list[Any]]:
-    """Bag, options, versions and outcome, where they are not the same in all runs."""
-    return _differing(
-        [
-            {
-                "outcome": run.outcome,
-                "bag": str(run.bag_path) if run.bag_path else None,
-                "bag digest": run.part("bag").get("digest"),
-                "poses from": run.record.get("poses_from"),
-                **dotted_keys(run.part("options"), "option "),
-                **{f"version of {k}": v for k, v in run.part("versions").items()},
-            }
-            for run in runs
-        ]
+def compare_runs(
+    runs: Sequence[RunToCompare],
+    warnings: Sequence[str],
+    changed_points: ChangedPoints,
+) -> Comparison:
+    """Compare the first run with each of the others."""
+    changes = []
+    for other in runs[1:]:
+        change = Change(a=runs[0], b=other)
+        for subject, compare in _SUBJECTS.items():
+            try:
+                if not change.same_bag:
+                    raise _NotComparableError("the runs labelled clouds of different bags or topics")
+                compare(change, changed_points)
+            except _NotComparableError as reason:
+                change.not_compared[subject] = str(reason)
+        changes.append(change)
+    found = [run.run for run in runs]
+    return Comparison(
+        runs=tuple(runs),
+        changes=tuple(changes),
+        settings=_differing([_settings(run) for run in found]),
+        figures=_by_name([read_figures(run.path, run.record) for run in found]),
+        warnings=tuple(warnings),
     )
 
 
-def figures(runs: Sequence[FinishedRun]) -> dict[str, list[float | None]]:
-    """Every figure of metrics.json, and counts and timings of run.json, one value a run; None where a run lacks it."""
-    tables = []
-    for run in runs:
-        path = run.file(METRICS)
-        metrics = read_object(path, "run ffmap evaluate again") if path is not None else {}
-        tables.append(
-            {
-                **dotted_keys({k: v for k, v in metrics.items() if k not in ("truth", "statistics")}),
-                **dotted_keys(run.part("counts"), "counts."),
-                **dotted_keys(run.part("timings_s"), "seconds."),
-            }
-        )
-    rows = {name: list(map(_figure, values)) for name, values in _by_name(tables).items()}
-    return {name: row for name, row in rows.items() if any(figure is not None for figure in row)}
+def _compare_labels(change: Change, changed_points: ChangedPoints) -> None:
+    a, b = change.a.run, change.b.run
+    _require(change, LABELS, lambda run: labels_file(run) is not None)
+    # Points are placed for one of the runs alone, which takes longer than reading their labels.
+    bag_a, bag_b = (run.bag_path is not None and run.bag_path.missing is None for run in (a, b))
+    first, second = read_run_labels(a, bag_a), read_run_labels(b, bag_b and not bag_a)
+    voxels = VoxelTable(VOXEL_M, TRANSITIONS)
+    rows: list[tuple[int, int, IntArray, int]] = []
+    only_a = only_b = unlike = 0
+    for one, other in side_by_side(first, second):
+        if one is None or other is None:
+            only_a, only_b = only_a + (other is None), only_b + (one is None)
+            continue
+        if len(one.label) != len(other.label):
+            unlike += 1
+            continue
+        counts = count_transitions(one.label, other.label)
+        changed_scan = int(np.count_nonzero(one.label_scan != other.label_scan))
+        rows.append((one.scan, one.stamp_ns, counts, changed_scan))
+        changed = one.label != other.label
+        points = one.points_map if one.points_map is not None else other.points_map
+        if points is None:
+            points = np.full((len(changed), 3), np.nan, np.float32)
+        changed &= np.isfinite(points).all(axis=1)
+        before, after = transitions(one.label[changed], other.label[changed])
+        voxels.add(points[changed], CLASSES * before + after)
+        changed_points(change.b.letter, one, points[changed], before, after)
+    if not rows:
+        raise _NotComparableError("the runs have no cloud in common")
+    columns = (np.array(column) for column in zip(*rows, strict=True))
+    scan, stamp_ns, all_counts, all_changed = columns
+    labels = LabelChange(scan, stamp_ns, all_counts, all_changed, voxels.votes())
+    change.labels = labels
+    total, points_total = int(labels.changed.sum()), int(labels.points.sum())
+    change.figures |= {
+        "labels.changed": total,
+        "labels.changed_share": total / points_total if points_total else float("nan"),
+        "labels.changed_scan": int(all_changed.sum()),
+        "labels.points": points_total,
+        "labels.scans": len(rows),
+        "labels.scans_only_a": only_a,
+        "labels.scans_only_b": only_b,
+        "labels.scans_unlike": unlike,
+    }
+    confusion = all_counts.sum(axis=0)
+    codes = most_frequent([confusion], TRANSITIONS)
+    per_scan = {
+        "scan": scan,
+        "stamp_ns": stamp_ns,
+        "points": labels.points,
+        "changed": labels.changed,
+        "changed_label_scan": all_changed,
+    }
+    change.details |= {
+        "confusion": confusion.tolist(),
+        "transitions": {name_transition(code): int(confusion.flat[code]) for code in codes},
+        "scans": [
+            dict(zip(per_scan, row, strict=True))
+            for row in zip(*(values.tolist() for values in per_scan.values()), strict=True)
+        ],
+    }
 
 
-class LabelComparison:
-    """The labels of two runs, scan by scan; iterate over it, then ask for `result`."""
-
-    def __init__(self, a: RunToCompare, b: RunToCompare) -> None:
-        self._a, self._b = a.run, b.run
-        # Where the points lie is asked of one run alone: their places cost more than their labels.
-        self._points_of_a = has_points(self._a)
-        self._scans: list[ScanChange] = []
-        self._only_a = self._only_b = self._unlike = 0
-        self._cubes = VoxelTable(CUBE_M, TRANSITIONS)
-
-    def __iter__(self) -> Iterator[ChangedPoints]:
-        """The changed points of every scan that both runs have; none changed: no points."""
-        # A topic that one run alone labelled has nothing beside it.
-        common = common_topics(self._a, self._b)
-        points_of_b = not self._points_of_a and has_points(self._b)
-        first, second = (
-            (cloud for cloud in read_run_labels(run, with_points) if cloud.topic is None or cloud.topic in common)
-            for run, with_points in ((self._a, self._points_of_a), (self._b, points_of_b))
-        )
-        for a, b in pair(first, second):
-            if a is None or b is None:
-                self._only_a += b is None
-                self._only_b += a is None
-                continue
-            if len(a.label_scan) != len(b.label_scan):
-                self._unlike += 1
-                continue
-            changed_scan = changed_of(transitions(a.label_scan, b.label_scan))
-            self._scans.append(ScanChange(a.scan, a.stamp_ns, transitions(a.label, b.label), changed_scan))
-            places = np.flatnonzero(a.label != b.label)
-            points = a.points_map if a.points_map is not None else b.points_map
-            at = points[places] if points is not None else np.full((len(places), 3), np.nan, np.float32)
-            placed = np.isfinite(at).all(axis=1)
-            before, after = (classes_of(label[places[placed]]) for label in (a.label, b.label))
-            changed = ChangedPoints(a.scan, a.stamp_ns, at[placed], before, after)
-            self._cubes.add(changed.points_map, changed.transition)
-            yield changed
-
-    def result(self) -> LabelChange:
-        counts = (self._only_a, self._only_b, self._unlike)
-        return LabelChange(tuple(self._scans), *counts, self._cubes.votes())
+def _compare_poses(change: Change, _: ChangedPoints) -> None:
+    a, b = map(read_tum, _of_both(change, TRAJECTORY))
+    stamp_ns, at_a, at_b = np.intersect1d(
+        a.stamp_ns, b.stamp_ns, assume_unique=True, return_indices=True
+    )
+    if not len(stamp_ns):
+        raise _NotComparableError("the runs have no pose in common")
+    errors = compare_trajectories(
+        Trajectory(stamp_ns, b.T_map_base[at_b]), Trajectory(stamp_ns, a.T_map_base[at_a])
+    )
+    change.poses = stamp_ns, errors.error_unaligned_m, errors.error_m
+    change.figures |= {
+        "trajectory.mean_m": float(errors.error_unaligned_m.mean()),
+        "trajectory.max_m": float(errors.error_unaligned_m.max()),
+        "trajectory.aligned_mean_m": float(errors.error_m.mean()),
+        "trajectory.aligned_max_m": float(errors.error_m.max()),
+        "trajectory.poses": len(stamp_ns),
+    }
 
 
-def compare_files(change: PairChange) -> None:
-    """Compare all but the labels, as far as both runs have the files; what cannot be is noted in `refused`."""
-    if not change.same_bag:
-        change.refused |= dict.fromkeys(COMPARABLE, _OTHER_BAG)
-        return
-    if paths := _of_both(change, "trajectory", TRAJECTORY):
-        poses = _compare_poses(*map(read_tum, paths))
-        if len(poses.stamp_ns):
-            change.trajectory = poses
-        else:
-            change.refused["trajectory"] = "the runs have no pose in common"
-    if paths := _of_both(change, "walls", WALLS):
-        change.walls = compare_walls(*(segments(read_features(path, "lines", _AGAIN)) for path in paths))
-    if paths := _of_both(change, "doors", DOORS):
-        before, after = (read_features(path, "doors", _AGAIN) for path in paths)
-        change.doors = DoorsCompared(before, after, compare_doors(segments(before), segments(after)))
-    if paths := _of_both(change, "grid", map_file(entities.FURNITURE_FREE)):
-        try:
-            change.grid = compare_grids(*map(read_map, paths))
-        except ValueError as error:
-            change.refused["grid"] = str(error)
-    recordings = [run.recording.path for run in (change.a, change.b) if run.recording is not None]
-    if len(recordings) < 2:
-        change.refused["planes"] = _lacks([r for r in (change.a, change.b) if r.recording is None], "recording")
-    elif set(change.a.run.topics) != set(change.b.run.topics):
-        change.refused["planes"] = f"{_what_was_labelled(change)}: their scans are numbered otherwise"
-    else:
-        change.planes = _compare_planes(*recordings)
-        if change.planes is None:
-            change.refused["planes"] = "a recording has no wall planes of single scans"
+def _compare_walls(change: Change, _: ChangedPoints) -> None:
+    a, b = (segments(read_features(path, "lines", _ADVICE)) for path in _of_both(change, WALLS))
+    change.lost["walls"], change.gained["walls"] = unmatched_walls(a, b), unmatched_walls(b, a)
+    change.figures |= {
+        "walls.lost_m": float(lengths_m(change.lost["walls"]).sum()),
+        "walls.gained_m": float(lengths_m(change.gained["walls"]).sum()),
+        "walls.length_m": float(lengths_m(a).sum()),
+    }
 
 
-def labels_can_be_compared(change: PairChange) -> bool:
-    """Whether both runs have labels of the same clouds; else `refused` says why not."""
-    a, b = change.a, change.b
-    lacking = [run for run in (a, b) if labels_file(run.run) is None]
-    if not change.same_bag:
-        change.refused["labels"] = _OTHER_BAG
-    elif a.run.topics and not common_topics(a.run, b.run):
-        change.refused["labels"] = _what_was_labelled(change)
-    elif lacking:
-        change.refused["labels"] = _lacks(lacking, LABELS)
-    return "labels" not in change.refused
+def _compare_doors(change: Change, _: ChangedPoints) -> None:
+    a, b = (read_features(path, "doors", _ADVICE) for path in _of_both(change, DOORS))
+    match = match_doors(segments(a), segments(b)).tolist()
+    altered = [(b[j], _altered(a[i], b[j])) for i, j in enumerate(match) if j >= 0]
+    change.doors = {
+        "lost": [(a[i], f"lost: {_state(a[i])} door") for i, j in enumerate(match) if j < 0],
+        "gained": [
+            (door, f"gained: {_state(door)} door") for j, door in enumerate(b) if j not in match
+        ],
+        "altered": [(door, words) for door, words in altered if words],
+    }
+    change.figures |= {f"doors.{what}": len(doors) for what, doors in change.doors.items()}
+    change.figures["doors.compared"] = len(a)
+    change.details["doors"] = {
+        what: [{**door, "what": words} for door, words in doors]
+        for what, doors in change.doors.items()
+    }
 
 
-def common_topics(a: FinishedRun, b: FinishedRun) -> list[str]:
-    """The topics whose clouds both runs labelled."""
-    return [topic for topic in a.topics if topic in b.topics]
+def _altered(a: Mapping[str, Any], b: Mapping[str, Any]) -> str:
+    """What differs between two doors that match, in words."""
+    parts = [f"{_state(a)} → {_state(b)}"] if _state(a) != _state(b) else []
+    widths = a["properties"]["width"], b["properties"]["width"]
+    if abs(widths[1] - widths[0]) >= _WIDTH_M:
+        parts.append(f"width {widths[0]:.2f} → {widths[1]:.2f} m")
+    return ", ".join(parts)
 
 
-def _what_was_labelled(change: PairChange) -> str:
-    return ", ".join(f"{run.letter} labelled {' and '.join(run.run.topics)}" for run in (change.a, change.b))
+def _state(door: Mapping[str, Any]) -> str:
+    return str(door["properties"]["state"])
 
 
-def grid_of(run: FinishedRun) -> GridMap | None:
-    """A run's furniture-free map."""
-    path = run.file(map_file(entities.FURNITURE_FREE))
-    return read_map(path) if path is not None else None
+def _compare_grids(change: Change, _: ChangedPoints) -> None:
+    a, b = map(read_map, _of_both(change, map_file(entities.FURNITURE_FREE)))
+    try:
+        grid = compare_grids(a, b)
+    except ValueError as error:
+        raise _NotComparableError(str(error)) from error
+    change.lost["cells"], change.gained["cells"] = grid.lost, grid.gained
+    change.figures |= {
+        "grid.occupied_lost": len(grid.lost),
+        "grid.occupied_gained": len(grid.gained),
+        "grid.occupied_kept": grid.kept,
+        "grid.free_lost": grid.blocked,
+        "grid.free_gained": grid.freed,
+    }
 
 
-def _compare_poses(a: Trajectory, b: Trajectory) -> TrajectoryChange:
-    stamp_ns, at_a, at_b = np.intersect1d(a.stamp_ns, b.stamp_ns, assume_unique=True, return_indices=True)
-    mine, other = Trajectory(stamp_ns, a.T_map_base[at_a]), Trajectory(stamp_ns, b.T_map_base[at_b])
-    return TrajectoryChange(stamp_ns, compare_trajectories(other, mine))
+_SUBJECTS: dict[str, Callable[[Change, ChangedPoints], None]] = {
+    "labels": _compare_labels,
+    "trajectory": _compare_poses,
+    "walls": _compare_walls,
+    "doors": _compare_doors,
+    "grid": _compare_grids,
+}
 
 
-def _compare_planes(path_a: Path, path_b: Path) -> PlaneChange | None:
-    """Scan by scan, as far as both recordings go; a scan without planes has no row."""
-    found: list[tuple[int, int, int, int]] = []
-    first, second = (rows(path, entities.PLANES, "normal") for path in (path_a, path_b))
-    for a, b in side_by_side(first, second, lambda row: row.scan, to_the_end=False):
-        row = a or b
-        assert row is not None
-        lost, gained = (0 if own is None else len(own.values["normal"]) for own in (a, b))
-        if a is not None and b is not None:
-            lost, gained = match_planes(*_planes(a), *_planes(b))
-        found.append((row.scan, row.stamp_ns, lost, gained))
-    return PlaneChange(*np.array(found, np.int64).T) if found else None
+def _of_both(change: Change, name: str) -> tuple[Path, Path]:
+    """The paths of a file of both runs."""
+    _require(change, name, lambda run: run.file(name) is not None)
+    return change.a.run.path / name, change.b.run.path / name
 
 
-def _planes(row: Row) -> tuple[FloatArray, FloatArray]:
-    return row.values["normal"], row.values["offset_m"]
+def _require(change: Change, name: str, has: Callable[[FinishedRun], bool]) -> None:
+    lacking = [run.letter for run in (change.a, change.b) if not has(run.run)]
+    if lacking:
+        verb = "have" if len(lacking) > 1 else "has"
+        raise _NotComparableError(f"{' and '.join(lacking)} {verb} no {name}")
 
 
-def _of_both(change: PairChange, what: str, name: str) -> tuple[Path, Path] | None:
-    """A file of both runs; None where one has none, and `refused` says so."""
-    first, second = change.a.run.file(name), change.b.run.file(name)
-    if first is not None and second is not None:
-        return first, second
-    change.refused[what] = _lacks([run for run in (change.a, change.b) if run.run.file(name) is None], name)
-    return None
-
-
-def _lacks(runs: Sequence[RunToCompare], name: str) -> str:
-    return f"{' and '.join(run.letter for run in runs)} {'have' if len(runs) > 1 else 'has'} no {name}"
+def _settings(run: FinishedRun) -> dict[str, Any]:
+    """Settings, and what else a run depends on."""
+    return {
+        **dotted_keys(run.part("settings")),
+        "bag": str(run.bag_path) if run.bag_path else None,
+        "bag digest": run.part("bag").get("digest"),
+        "poses from": run.record.get("poses_from"),
+        **dotted_keys(run.part("options"), "option "),
+        **dotted_keys(run.part("versions"), "version of "),
+    }
 
 
 def _by_name(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
@@ -288,8 +361,5 @@ def _by_name(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 
 
 def _differing(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    return {name: row for name, row in _by_name(tables).items() if any(value != row[0] for value in row)}
-
-
-def _figure(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+    rows = _by_name(tables)
+    return {name: row for name, row in rows.items() if any(value != row[0] for value in row)}

@@ -120,7 +120,8 @@ def _segment(
         write_rooms(out / ROOMS, graph)
         write_rooms_picture(out / PICTURE, coarse, graph)
         if figures is not None:
-            write_json(out / METRICS, {"rooms": _figures([figures])})
+            rooms = {f"rooms.{name}": value for name, value in _figures([figures]).items()}
+            write_json(out / METRICS, rooms)
         write_recording(out / RECORDING, coarse, graph)
     except OSError as error:
         reason = f"cannot be written ({error.strerror})"

@@ -19,7 +19,7 @@ from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag_path import BagPath
 
 if TYPE_CHECKING:
-    from ffmap.app.analysis.metrics_tables import Metrics
+    from ffmap.app.analysis.figures import Metrics
 
 
 def run(

@@ -1,11 +1,11 @@
-"""ffmap runs: a table of the runs in a folder, sorted and filtered by their figures and settings."""
+"""ffmap runs: a table of the runs in a folder, sorted and filtered by figures and settings."""
 
-import difflib
 import operator
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +13,20 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from ffmap.app.folder import figures
-from ffmap.app.folder.names import METRICS, RUN_JSON, RunFolder
-from ffmap.app.tables import make_table
+from ffmap.app.analysis.figures import FIGURES, HEADLINES, find_name, read_figures
+from ffmap.app.folder.names import RUN_JSON, RunFolder
+from ffmap.app.tables import format_value, make_table
 from ffmap.loaders.errors import InputError, shortened
-from ffmap.loaders.text_files import dotted_keys, read_object
+from ffmap.loaders.text_files import dotted_keys
 
 _DEPTH = 3
 """Levels of folders below the given one in which runs are found."""
-_ALL = "all"
-_WHOLE = 10_000
-"""Width of a table that is not printed to a terminal: each run is one whole line."""
-_HEADING = 12
-"""Characters of a line of a heading on a terminal, unless a word is longer."""
+_WIDE = 10_000
+"""Width of a table in a pipe or a file, so that each run is one whole line."""
 _DETAILS = ("bag", "git_revision", "outcome")
-"""Columns that are shown by default where the runs differ in them."""
-_COMPARISONS = {
+"""Shown by default where the runs differ in them."""
+_ADVICE = "--columns all lists them"
+_COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
     ">=": operator.ge,
     "<=": operator.le,
     "!=": operator.ne,
@@ -40,7 +38,7 @@ _COMPARISONS = {
 
 @dataclass(frozen=True)
 class ListedRun:
-    """A run folder with its values by column: figures, settings, details."""
+    """A run folder with its figures, settings and details by name."""
 
     folder: Path
     values: Mapping[str, Any]
@@ -53,8 +51,8 @@ def runs(
     """Print the runs in a folder.
 
     Args:
-        where: conditions like "wall_f1>0.98"; a run is listed if all hold.
-        sort: column; best first for a metric, least first for other columns.
+        where: conditions like "wall.f1>0.98"; a run is listed if all hold.
+        sort: column; best first for a figure, least first for other columns.
         columns: names separated by commas; "all" lists the names.
 
     Raises InputError if there is no run, or a column or condition is wrong.
@@ -63,15 +61,20 @@ def runs(
     if not listed:
         raise InputError(f"{root}: no run has a readable {RUN_JSON}; run ffmap again")
     known = list(dict.fromkeys(name for run in listed for name in run.values))
-    if columns == _ALL:
+    if columns == "all":
         typer.echo("\n".join(sorted(known)))
         return
     for condition in where:
-        holds = parse_condition(condition, known)
-        listed = [run for run in listed if holds(run.values)]
+        listed = [run for run in listed if _holds(condition, known, run.values)]
     if sort is not None:
-        listed = sort_runs(listed, _known(sort, known, "--sort"), reverse)
-    _print(listed, _chosen(listed, columns, sort, known), str(root.resolve()), columns is None)
+        sort = find_name(sort, known, "--sort", _ADVICE)
+        listed = _sorted(listed, sort, reverse)
+    if columns is None:
+        chosen = _usual_columns(listed, sort)
+    else:
+        names = columns.split(",")
+        chosen = [find_name(name.strip(), known, "--columns", _ADVICE) for name in names]
+    _print(listed, chosen, root.resolve(), all_columns=columns is not None)
 
 
 def find_runs(root: Path) -> list[Path]:
@@ -104,127 +107,95 @@ def _read(folders: Sequence[Path]) -> Iterator[ListedRun]:
     for folder in folders:
         try:
             record = RunFolder(folder).read_json()
-            path = folder / METRICS
-            metrics = read_object(path, "ffmap evaluate makes it again") if path.exists() else None
+            figures = read_figures(folder, record)
         except InputError as error:
             typer.echo(f"not listed: {error}", err=True)
             continue
-        parts = {name: part for name, part in record.items() if isinstance(part, Mapping)}
-        settings = dotted_keys(parts.get("settings", {}))
+        settings = dotted_keys(record.get("settings") or {})
         details = {
-            "bag": Path(str(parts.get("bag", {}).get("path", ""))).name,
-            "git_revision": parts.get("versions", {}).get("git_revision"),
+            "bag": Path(str((record.get("bag") or {}).get("path", ""))).name,
+            "git_revision": (record.get("versions") or {}).get("git_revision"),
             **{name: record.get(name) for name in ("outcome", "started", "settings_hash")},
         }
-        values = {**figures.figures_of(parts, metrics), **settings, **details}
-        yield ListedRun(folder, values, settings)
+        yield ListedRun(folder, {**figures, **settings, **details}, settings)
 
 
-def parse_condition(text: str, known: Sequence[str]) -> "Holds":
-    """Parse a condition like "wall_f1>0.98" or "bag=office.bag".
+def _holds(condition: str, known: Sequence[str], values: Mapping[str, Any]) -> bool:
+    """Return whether a condition like "wall.f1>0.98" or "bag=office.bag" holds.
 
-    A run without a value in that column does not meet it. Raises InputError if it is no condition.
+    A run without a value does not meet it. Raises InputError if it is no condition.
     """
-    parts = re.fullmatch(r"\s*([\w.]+)\s*(>=|<=|!=|>|<|=)\s*(\S.*?)\s*", text)
+    parts = re.fullmatch(r"\s*([\w.]+)\s*(>=|<=|!=|>|<|=)\s*(\S.*?)\s*", condition)
     if parts is None:
-        raise InputError(f'--where {shortened(text)}: is no condition; write it as in "wall_f1>0.98"')
-    return Holds(_known(parts[1], known, "--where"), parts[2], parts[3])
+        raise InputError(
+            f'--where {shortened(condition)}: is no condition; write it as in "wall.f1>0.98"'
+        )
+    column = find_name(parts[1], known, "--where", _ADVICE)
+    own, compare, limit = values.get(column), _COMPARISONS[parts[2]], parts[3]
+    if own is None:
+        return False
+    if isinstance(own, bool) or not isinstance(own, int | float):
+        return compare(str(own).lower(), limit.lower())
+    try:
+        return compare(own, float(limit))
+    except ValueError:
+        raise InputError(
+            f"--where {shortened(condition)}: {column} is a number; compare it with one"
+        ) from None
 
 
-@dataclass(frozen=True)
-class Holds:
-    """A condition on the values of a run."""
-
-    column: str
-    comparison: str
-    value: str
-
-    def __call__(self, values: Mapping[str, Any]) -> bool:
-        """Compare as numbers where the run's value is one, else as text."""
-        own = values.get(self.column)
-        if own is None:
-            return False
-        compare = _COMPARISONS[self.comparison]
-        if isinstance(own, bool) or not isinstance(own, int | float):
-            return bool(compare(str(own).lower(), self.value.lower()))
-        try:
-            return bool(compare(own, float(self.value)))
-        except ValueError:
-            said = f"--where {self.column}{self.comparison}{shortened(self.value)}"
-            raise InputError(f"{said}: {self.column} is a number; compare it with one") from None
-
-
-def sort_runs(listed: Sequence[ListedRun], column: str, reverse: bool) -> list[ListedRun]:
+def _sorted(listed: Sequence[ListedRun], column: str, reverse: bool) -> list[ListedRun]:
     """Sort by a column; runs without a value come last."""
-    best_first = column in figures.OBJECTIVES and not figures.less_is_better(column)
-    there = [run for run in listed if run.values.get(column) is not None]
-    numbers = all(isinstance(run.values[column], int | float) for run in there)
+    known = [run for run in listed if run.values.get(column) is not None]
+    unknown = [run for run in listed if run.values.get(column) is None]
+    numbers = all(isinstance(run.values[column], int | float) for run in known)
 
     def key(run: ListedRun) -> Any:  # noqa: ANN401 - numbers or text
         return run.values[column] if numbers else str(run.values[column])
 
-    without = [run for run in listed if run.values.get(column) is None]
-    return sorted(there, key=key, reverse=best_first != reverse) + without
+    highest_first = column in FIGURES and FIGURES[column].better == "higher"
+    return sorted(known, key=key, reverse=highest_first != reverse) + unknown
 
 
-def _known(name: str, known: Sequence[str], option: str) -> str:
-    """The column of this name; dots of settings may be underscores."""
-    same = (column for column in known if column.replace(".", "_") == name.replace(".", "_"))
-    if column := next(same, None):
-        return column
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    meant = f"did you mean {close[0]!r}? " if close else ""
-    raise InputError(f"{option}: no column {shortened(name)!r}; {meant}--columns all lists them")
-
-
-def _chosen(
-    listed: Sequence[ListedRun], columns: str | None, sort: str | None, known: Sequence[str]
-) -> list[str]:
-    """The columns of the table: as given, else the usual figures and the settings that differ."""
-    if columns is not None:
-        return [_known(name.strip(), known, "--columns") for name in columns.split(",")]
-    first = [] if sort is None else [_known(sort, known, "--sort")]
+def _usual_columns(listed: Sequence[ListedRun], sort: str | None) -> list[str]:
+    """The column that is sorted by, two figures, the settings that differ, then more figures."""
     settings = dict.fromkeys(name for run in listed for name in run.settings)
-    differing = [name for name in (*settings, *_DETAILS) if _differs(listed, name)]
-    there = [name for name in figures.HEADLINES if any(name in run.values for run in listed)]
-    main = [name for name in (figures.QUALITY, figures.SECONDS) if name in there]
-    return list(dict.fromkeys([*first, *main, *differing, *there]))
+    differing = [
+        name
+        for name in (*settings, *_DETAILS)
+        if len({str(run.values.get(name)) for run in listed}) > 1
+    ]
+    first = [sort] if sort is not None else []
+    names = dict.fromkeys([*first, *HEADLINES[:2], *differing, *HEADLINES])
+    return [name for name in names if any(name in run.values for run in listed)]
 
 
-def _differs(listed: Sequence[ListedRun], name: str) -> bool:
-    return len({str(run.values.get(name)) for run in listed}) > 1
-
-
-def _print(listed: Sequence[ListedRun], chosen: list[str], root: str, may_leave_out: bool) -> None:
+def _print(
+    listed: Sequence[ListedRun], chosen: Sequence[str], root: Path, all_columns: bool
+) -> None:
+    """Print the table: on a terminal as many columns as fit, else one whole line for each run."""
     console = Console()
-    terminal = console.is_terminal
-    names = [os.path.relpath(run.folder.resolve(), root) for run in listed]
-    names = [Path(root).name if name == "." else name for name in names]
-    cells = {
-        name: [figures.format_value(run.values.get(name)) for run in listed] for name in chosen
+    narrow = console.is_terminal
+    folders = [os.path.relpath(run.folder.resolve(), root) for run in listed]
+    columns = {
+        re.sub(r"([._])", r"\1\n", name) if narrow else name: [
+            format_value(run.values.get(name)) for run in listed
+        ]
+        for name in chosen
     }
-    shown = chosen
-    if not terminal:
-        console = Console(width=_WHOLE)
-    elif may_leave_out:
-        room = console.width - min(max(map(len, names), default=0), console.width // 2) - 4
-        widths = {name: max(map(len, (*_lines(name).split("\n"), *cells[name]))) for name in chosen}
-        shown = figures.fit(widths, room)
-    headings = ("run", *(_lines(name) if terminal else name for name in shown))
-    rows = zip(names, *(cells[name] for name in shown), strict=True)
-    table = make_table(None, headings, (map(escape, row) for row in rows))
-    table.columns[0].max_width = console.width // 2 if terminal else None
+    shown = list(columns)
+    if not narrow:
+        console = Console(width=_WIDE)
+    elif not all_columns:
+        room = console.width - min(max(map(len, folders), default=0), console.width // 2) - 4
+        ends = accumulate(
+            3 + max(map(len, (*heading.split("\n"), *cells))) for heading, cells in columns.items()
+        )
+        shown = [heading for heading, end in zip(columns, ends, strict=True) if end <= room]
+    rows = zip(folders, *(columns[heading] for heading in shown), strict=True)
+    table = make_table(None, ("run", *shown), (map(escape, row) for row in rows))
+    table.columns[0].max_width = console.width // 2
     console.print(table)
     typer.echo(f"{len(listed)} {'run' if len(listed) == 1 else 'runs'} in {root}")
-    if left_out := [name for name in chosen if name not in shown and "." in name]:
+    if left_out := chosen[len(shown) :]:
         typer.echo(f"not shown, for want of room: {', '.join(left_out)}; --columns chooses")
-
-
-def _lines(name: str) -> str:
-    """Break a name into lines of a narrow column."""
-    lines = [""]
-    for word in re.findall(r"[^._]+[._]?", name):
-        if lines[-1] and len(lines[-1] + word) > _HEADING:
-            lines.append("")
-        lines[-1] += word
-    return "\n".join(lines)

@@ -232,10 +232,9 @@ def coarsened(agreement: UInt8Array, factor: int) -> UInt8Array:
 
 
 def _figures(one: ComparedMap) -> str:
-    figures = one.figures
     return (
-        f"precision {percent(figures.precision)} %, recall {percent(figures.recall)} %, "
-        f"error {percent(figures.error_m)} cm"
+        f"precision {percent(one.precision)} %, recall {percent(one.recall)} %, "
+        f"error {percent(one.error_m)} cm"
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import BaseModel, FiniteFloat, ValidationError
@@ -11,7 +11,9 @@ from ffmap.app.setup.options import RunOptions
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError, shortened
 from ffmap.loaders.numbered import all_numbered
-from ffmap.loaders.rig import MountCorrection
+
+if TYPE_CHECKING:
+    from ffmap.loaders.rig import MountCorrection
 
 FROM_ODOMETRY = "odometry"
 """The source of poses in run.json, unless they are given."""
@@ -83,7 +85,7 @@ def topics_of(record: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(str(lidar["topic"]) for lidar in verticals if lidar is not None)
 
 
-def mount_corrections(record: Mapping[str, Any]) -> tuple[MountCorrection, ...]:
+def mount_corrections(record: Mapping[str, Any]) -> "tuple[MountCorrection, ...]":
     """Return the extrinsics that a run has refined."""
     mounts = record.get("mounts")
     if not mounts:
@@ -91,6 +93,9 @@ def mount_corrections(record: Mapping[str, Any]) -> tuple[MountCorrection, ...]:
         horizontal = (record.get("rig") or {}).get("horizontal") or {}
         others = [topic for topic in topics_of(record) if topic != horizontal.get("topic")]
         mounts = {topic: record.get("mount") or {} for topic in others[:1]}
+    # Not above: a list of runs needs none of the compiled code behind it.
+    from ffmap.loaders.rig import MountCorrection
+
     corrections: list[MountCorrection] = []
     for topic, mount in mounts.items():
         T, clock_ns = np.array(mount.get("T_base_sensor") or ()), mount.get("clock_ns")

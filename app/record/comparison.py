@@ -1,4 +1,4 @@
-"""A comparison as one recording: the runs re-rooted below their letters, and what differs in the map's frame."""
+"""A comparison in one recording: the runs below their letters, and what differs in the map."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,16 +7,13 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.truth.changes import (
+    CLASSES,
     TRANSITIONS,
-    ChangedPoints,
     Changes,
-    DoorsCompared,
     LabelChange,
-    PlaneChange,
-    TrajectoryChange,
     most_frequent,
     name_transition,
 )
@@ -25,23 +22,41 @@ from ffmap.app.record.log import Log, evidence, times
 from ffmap.app.record.read_back import chunk_stream
 from ffmap.app.record.shapes import annotations, at_height, strips, ui_radius
 from ffmap.blueprints import entities
+from ffmap.loaders.geojson import segments
 
 _LIFT_M = 0.05
-"""Height in metres of what changed above the map, which would hide it."""
+"""Height (m) of what changed above the map, which would hide it."""
 _WHITE = (255, 255, 255)
-
+_COLORS = {
+    "lost": entities.LOST_COLOR,
+    "gained": entities.GAINED_COLOR,
+    "altered": entities.KEYPOINT_COLOR,
+}
 _MAP = (
-    *("/", entities.WORLD, entities.TRAJECTORY, f"{entities.BASE}/**", "/world/map/**", f"{entities.BUILDING}/**"),
-    *(f"{entities.LABEL_COUNTS}/**", f"{entities.COUNTS}/**", f"{entities.MILLISECONDS}/**", entities.MESSAGES),
+    "/",
+    entities.WORLD,
+    entities.TRAJECTORY,
+    f"{entities.BASE}/**",
+    "/world/map/**",
+    f"{entities.BUILDING}/**",
+    f"{entities.LABEL_COUNTS}/**",
+    f"{entities.COUNTS}/**",
+    f"{entities.MILLISECONDS}/**",
+    entities.MESSAGES,
 )
 _SCANS = (
-    *(entities.SCAN, entities.POINTS, entities.PLANES, entities.UPMOST),
-    *("/scan/doors/**", entities.FLOOR, entities.CEILING),
+    entities.SCAN,
+    entities.POINTS,
+    entities.PLANES,
+    entities.UPMOST,
+    f"{entities.SCAN_DOORS}/**",
+    entities.FLOOR,
+    entities.CEILING,
 )
 
 
 def write_rerooted(source: Path, letter: str, out: Path, recording_id: str, scans: bool) -> bool:
-    """A run's recording below its letter, chunk by chunk; False where it has nothing to show.
+    """Write a run's recording below its letter; return whether it has anything to show.
 
     scans: with single scans, without the lines and curves of each.
     """
@@ -53,129 +68,125 @@ def write_rerooted(source: Path, letter: str, out: Path, recording_id: str, scan
         return chunk.with_entity_path(f"/{letter}{chunk.entity_path.rstrip('/')}")
 
     wanted = chunk_stream(source).filter(content=[*_MAP, *(_SCANS if scans else ())])
-    wanted.map(rerooted).write_rrd(out, application_id=entities.APPLICATION_ID, recording_id=recording_id)
+    moved = wanted.map(rerooted)
+    moved.write_rrd(out, application_id=entities.APPLICATION_ID, recording_id=recording_id)
     return passed > 0
 
 
-def log_changed_points(log: Log, letter: str, changed: ChangedPoints) -> None:
-    """The points of one scan whose labels differ; their class ids are 7 × before + after."""
-    log.at(changed.stamp_ns, changed.scan)
-    log.now(
-        entities.CHANGED_POINTS.format(letter),
-        rr.Points3D(changed.points_map, class_ids=changed.transition),
-        evidence(changed, "before", "after"),
-    )
+def log_changed_points(
+    log: Log, letter: str, points_map: FloatArray, before: UInt8Array, after: UInt8Array
+) -> None:
+    """Log the points (c, 3) of a scan whose labels differ, with their classes (c,) in both runs."""
+    points = rr.Points3D(points_map, class_ids=CLASSES * before + after)
+    path = entities.CHANGED_POINTS.format(letter)
+    log.now(path, points, evidence(before=before, after=after))
 
 
-class ComparisonRecorder:
-    """Logs what was found once all scans have been compared."""
-
-    def __init__(self, log: Log, changes: Sequence[LabelChange]) -> None:
-        """changes: of all pairs, for a transition from one label to another has the same colour in each."""
-        self._log = log
-        frequent = most_frequent(changes, len(entities.TRANSITION_COLORS))
-        self._colors = dict(zip(frequent, entities.TRANSITION_COLORS, strict=False))
-
-    def log_common(self, text: str) -> None:
-        """The runs in words, and the colours of what changed."""
-        self._log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        self._log.text(entities.RUNS_TEXT, text)
-        rest = entities.OTHER_TRANSITION_COLOR
-        classes = {code: (name_transition(code), self._colors.get(code, rest)) for code in range(TRANSITIONS)}
-        self._log.static("/changes", annotations(classes))
-
-    def log_run(self, letter: str, color: entities.Color, path_m: FloatArray | None, grid: GridMap | None) -> None:
-        """A run's trajectory (n, 3) and map, both for the views from above."""
-        if path_m is not None:
-            self._log.static(f"{entities.PATHS}/{letter}", strips([path_m.astype(np.float32)], color, 1.5, letter))
-        if grid is not None:
-            log_grid(self._log, letter, grid)
-
-    def log_pair(self, letter: str, change: Changes, text: str, scan_of: dict[int, int]) -> None:
-        """Everything that differs between the first run and the one of this letter.
-
-        scan_of: the scan of each stamp, as far as it is known.
-        """
-        self._log.text(entities.CHANGES_TEXT.format(letter), text)
-        if change.labels is not None:
-            self._log_labels(letter, change.labels)
-        if change.planes is not None:
-            self._log_planes(letter, change.planes)
-        if change.trajectory is not None:
-            self._log_poses(letter, change.trajectory, scan_of)
-        if change.doors is not None:
-            self._log_doors(letter, change.doors)
-        for name, color in (("lost", entities.LOST_COLOR), ("gained", entities.GAINED_COLOR)):
-            if change.walls is not None:
-                path = f"{entities.CHANGED_WALLS.format(letter)}/{name}"
-                self._log_strips(path, getattr(change.walls, name), color, 5.0)
-            if change.grid is not None and len(centres := getattr(change.grid, name)):
-                cells = rr.Points3D(at_height(centres, 0.5 * _LIFT_M), colors=color, radii=ui_radius(2.0))
-                self._log.static(f"{entities.CHANGED_CELLS.format(letter)}/{name}", cells)
-
-    def _log_labels(self, letter: str, change: LabelChange) -> None:
-        self._log.static(entities.CHANGED_POINTS.format(letter), rr.Points3D.from_fields(radii=ui_radius(2.5)))
-        cubes = change.cubes
-        drawn = rr.Points3D(cubes.mean_position.astype(np.float32), class_ids=cubes.label, radii=ui_radius(2.5))
-        self._log.static(entities.CHANGED_CUBES.format(letter), drawn)
-        if not change.scans:
-            return
-        indexes = times([s.stamp_ns for s in change.scans], [s.scan for s in change.scans])
-        counts = np.array([s.counts for s in change.scans]).reshape(len(change.scans), -1)
-        points = np.maximum(counts.sum(axis=1), 1)
-        path = entities.CHANGED_PERCENT.format(letter)
-        for rank, (code, color) in enumerate(self._colors.items()):
-            self._log_curve(f"{path}/{rank}", indexes, 100.0 * counts[:, code] / points, name_transition(code), color)
-        changed, changed_scan = np.array([(s.changed, s.changed_scan) for s in change.scans]).T
-        self._log_curve(f"{path}/all", indexes, 100.0 * changed / points, "all", _WHITE)
-        path = entities.CHANGED_PERCENT_SCAN.format(letter)
-        self._log_curve(f"{path}/all", indexes, 100.0 * changed_scan / points, "label_scan", _WHITE)
-
-    def _log_planes(self, letter: str, change: PlaneChange) -> None:
-        indexes = times(change.stamp_ns, change.scan)
-        path = entities.CHANGED_PLANES.format(letter)
-        self._log_curve(f"{path}/lost", indexes, change.lost.astype(float), "lost", entities.LOST_COLOR)
-        self._log_curve(f"{path}/gained", indexes, change.gained.astype(float), "gained", entities.GAINED_COLOR)
-
-    def _log_poses(self, letter: str, change: TrajectoryChange, scan_of: dict[int, int]) -> None:
-        known = np.array([stamp in scan_of for stamp in change.stamp_ns.tolist()], bool)
-        stamps = change.stamp_ns[known].tolist()
-        if not stamps:
-            return
-        indexes = times(stamps, [scan_of[stamp] for stamp in stamps])
-        path = entities.POSE_DISTANCE.format(letter)
-        for name, values, color in (
-            ("as they stand", change.figures.error_unaligned_m, _WHITE),
-            ("aligned", change.figures.error_m, entities.RUN_COLORS[0]),
-        ):
-            # To the micrometre: what is less is the arithmetic's.
-            self._log_curve(f"{path}/{name.replace(' ', '_')}", indexes, np.round(values[known], 6), name, color)
-
-    def _log_doors(self, letter: str, doors: DoorsCompared) -> None:
-        lost = [doors.before[i] for i in doors.change.lost]
-        gained = [doors.after[j] for j in doors.change.gained]
-        altered = [doors.after[j] for _, j, _ in doors.altered]
-        for name, features, color, labels in (
-            ("lost", lost, entities.LOST_COLOR, [f"lost: {_state(door)} door" for door in lost]),
-            ("gained", gained, entities.GAINED_COLOR, [f"gained: {_state(door)} door" for door in gained]),
-            ("altered", altered, entities.KEYPOINT_COLOR, [what for _, _, what in doors.altered]),
-        ):
-            ends = np.array([[p[:2] for p in f["geometry"]["coordinates"][:2]] for f in features], float)
-            path = f"{entities.CHANGED_DOORS.format(letter)}/{name}"
-            self._log_strips(path, ends.reshape(-1, 2, 2), color, 7.0, labels)
-
-    def _log_strips(
-        self, path: str, ends: FloatArray, color: entities.Color, radius_ui: float, labels: Sequence[str] | None = None
-    ) -> None:
-        if len(ends):
-            self._log.static(path, strips(at_height(ends, _LIFT_M), color, radius_ui, labels))
-
-    def _log_curve(
-        self, path: str, indexes: list[rr.TimeColumn], values: FloatArray, name: str, color: entities.Color
-    ) -> None:
-        self._log.curve_style(path, name, color)
-        self._log.curve(path, indexes, values)
+def log_common(log: Log, text: str, colors: Mapping[int, entities.Color]) -> None:
+    """Log the description of all runs, and the colours of transitions."""
+    log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    log.text(entities.RUNS_TEXT, text)
+    rest = entities.OTHER_TRANSITION_COLOR
+    classes = {code: (name_transition(code), colors.get(code, rest)) for code in range(TRANSITIONS)}
+    log.static("/changes", annotations(classes))
 
 
-def _state(door: Mapping[str, Any]) -> str:
-    return str(door["properties"].get("state"))
+def transition_colors(changes: Sequence[Changes]) -> dict[int, entities.Color]:
+    """Return the colours of the most frequent transitions, alike in all comparisons."""
+    counts = [change.labels.counts.sum(axis=0) for change in changes if change.labels is not None]
+    frequent = most_frequent(counts, len(entities.TRANSITION_COLORS))
+    return dict(zip(frequent, entities.TRANSITION_COLORS, strict=False))
+
+
+def log_run(
+    log: Log, letter: str, number: int, path_m: FloatArray | None, grid: GridMap | None
+) -> None:
+    """Log a run's trajectory (n, 3) and map for the views from above."""
+    if path_m is not None:
+        color = entities.RUN_COLORS[number % len(entities.RUN_COLORS)]
+        drawn = strips([path_m.astype(np.float32)], color, 1.5, letter)
+        log.static(f"{entities.PATHS}/{letter}", drawn)
+    if grid is not None:
+        log_grid(log, letter, grid)
+
+
+def log_change(
+    log: Log,
+    letter: str,
+    change: Changes,
+    text: str,
+    scan_of: Mapping[int, int],
+    colors: Mapping[int, entities.Color],
+) -> None:
+    """Log what differs between the first run and the one of this letter.
+
+    scan_of: number of the scan at each time stamp. colors: see `transition_colors`.
+    """
+    log.text(entities.CHANGES_TEXT.format(letter), text)
+    if change.labels is not None:
+        _log_labels(log, letter, change.labels, colors)
+    if change.poses is not None:
+        _log_poses(log, letter, *change.poses, scan_of)
+    for name, places in (("lost", change.lost), ("gained", change.gained)):
+        color = _COLORS[name]
+        if (walls := places.get("walls")) is not None and len(walls):
+            drawn = strips(at_height(walls, _LIFT_M), color, 5.0)
+            log.static(f"{entities.CHANGED_WALLS.format(letter)}/{name}", drawn)
+        if (cells := places.get("cells")) is not None and len(cells):
+            centres = at_height(cells, 0.5 * _LIFT_M)
+            drawn_cells = rr.Points3D(centres, colors=color, radii=ui_radius(2.0))
+            log.static(f"{entities.CHANGED_CELLS.format(letter)}/{name}", drawn_cells)
+    for name, doors in change.doors.items():
+        if doors:
+            features, words = zip(*doors, strict=True)
+            sills = at_height(segments(features), _LIFT_M)
+            drawn = strips(sills, _COLORS[name], 7.0, list(words))
+            log.static(f"{entities.CHANGED_DOORS.format(letter)}/{name}", drawn)
+
+
+def _log_labels(
+    log: Log, letter: str, labels: LabelChange, colors: Mapping[int, entities.Color]
+) -> None:
+    """Changed points over the map, and percentages of changed labels over the scans."""
+    radius = ui_radius(2.5)
+    log.static(entities.CHANGED_POINTS.format(letter), rr.Points3D.from_fields(radii=radius))
+    places, codes = labels.voxels.mean_position.astype(np.float32), labels.voxels.label
+    drawn = rr.Points3D(places, class_ids=codes, radii=radius)
+    log.static(entities.CHANGED_CUBES.format(letter), drawn)
+    indexes = times(labels.stamp_ns, labels.scan)
+    percent = 100.0 / np.maximum(labels.points, 1)
+    counts = labels.counts.reshape(len(labels.scan), -1)
+    path = entities.CHANGED_PERCENT.format(letter)
+    curves = [
+        (f"{path}/{rank}", counts[:, code], name_transition(code), color)
+        for rank, (code, color) in enumerate(colors.items())
+    ]
+    curves.append((f"{path}/all", labels.changed, "all", _WHITE))
+    path = entities.CHANGED_PERCENT_SCAN.format(letter)
+    curves.append((f"{path}/all", labels.changed_scan, "label_scan", _WHITE))
+    for path, values, name, color in curves:
+        log.curve_style(path, name, color)
+        log.curve(path, indexes, percent * values)
+
+
+def _log_poses(
+    log: Log,
+    letter: str,
+    stamp_ns: IntArray,
+    distance_m: FloatArray,
+    aligned_m: FloatArray,
+    scan_of: Mapping[int, int],
+) -> None:
+    known = np.array([stamp in scan_of for stamp in stamp_ns.tolist()], bool)
+    if not known.any():
+        return
+    indexes = times(stamp_ns[known], [scan_of[stamp] for stamp in stamp_ns[known].tolist()])
+    path = entities.POSE_DISTANCE.format(letter)
+    for name, values, color in (
+        ("in the map", distance_m, _WHITE),
+        ("aligned", aligned_m, entities.RUN_COLORS[0]),
+    ):
+        curve = f"{path}/{name.replace(' ', '_')}"
+        log.curve_style(curve, name, color)
+        # Less than a micrometre is a rounding error.
+        log.curve(curve, indexes, np.round(values[known], 6))

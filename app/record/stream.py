@@ -17,8 +17,8 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from ffmap.app.folder.atomic import written_whole
-from ffmap.app.folder.figures import flatten
 from ffmap.blueprints.entities import APPLICATION_ID
+from ffmap.loaders.text_files import dotted_keys
 
 rr.set_strict_mode(True)
 
@@ -143,8 +143,13 @@ def send_properties(stream: rr.RecordingStream, name: str, values: Mapping[str, 
 
     Nested mappings become columns such as `wall_planes_similarity_m`.
     """
-    if flat := flatten(values):
-        stream.send_property(name, rr.AnyValues(**flat))
+    columns: dict[str, Any] = {
+        key.replace(".", "_"): value if isinstance(value, str | bool | int | float) else str(value)
+        for key, value in dotted_keys(values).items()
+        if value is not None
+    }
+    if columns:
+        stream.send_property(name, rr.AnyValues(**columns))
 
 
 def start_viewer(files: Sequence[Path] = ()) -> str:

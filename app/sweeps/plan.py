@@ -1,4 +1,4 @@
-"""Which settings a sweep tries: every combination of a grid, or some that are drawn or proposed."""
+"""Combinations of settings that a sweep tries: all of a grid, drawn at random or by Optuna."""
 
 import itertools
 import json
@@ -10,155 +10,121 @@ from typing import Any
 
 import numpy as np
 
-from ffmap.app.folder.figures import less_is_better
+from ffmap.app.analysis.figures import FIGURES
 from ffmap.app.own_command import pip_command
-from ffmap.app.setup.settings import Settings, parse_value, validate
+from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.loaders.errors import InputError
 
 Combination = Mapping[str, Any]
 """A value for each parameter, by the setting's dotted name."""
 
-_DIGITS = 4
-"""Significant digits of a value that is drawn from a range."""
-
 
 @dataclass(frozen=True)
-class Choice:
-    """A setting that takes one of some values."""
+class Parameter:
+    """A setting and its `values`, or the ends of a range; in a range of integers, only integers."""
 
     name: str
     values: tuple[Any, ...]
+    is_range: bool = False
 
 
-@dataclass(frozen=True)
-class Range:
-    """A setting that takes any value from `low` to `high`; whole numbers only if both are."""
+def parse_grid(texts: Sequence[str], ranges: bool) -> tuple[Parameter, ...]:
+    """Parse texts like doors.lines_min=2,3 or wall_planes.similarity_m=0.02..0.08.
 
-    name: str
-    low: float
-    high: float
-
-    @property
-    def whole(self) -> bool:
-        return isinstance(self.low, int) and isinstance(self.high, int)
-
-
-Parameter = Choice | Range
-
-
-def parse_grid(texts: Sequence[str], base: Settings, ranges: bool) -> tuple[Parameter, ...]:
-    """Parse texts like wall_planes.similarity_m=0.02,0.05 or wall_planes.similarity_m=0.02..0.08.
-
-    Args:
-        base: the settings that stay.
-        ranges: whether a range may be given.
-
-    Raises InputError that names the wrong text.
+    ranges: whether a range may be given. Raises InputError that names the wrong text.
     """
     if not texts:
         raise InputError("--grid: nothing to sweep; give values, as in --grid doors.lines_min=2,3")
-    parameters: dict[str, Parameter] = {}
-    for text in texts:
-        parameter = _parse(text, base)
-        if parameter.name in parameters:
-            raise InputError(
-                f"--grid {text}: {parameter.name} is given twice; write all values in one --grid"
-            )
-        if isinstance(parameter, Range) and not ranges:
-            raise InputError(f"--grid {text}: a range needs --random N or --optuna N; or list values")
-        parameters[parameter.name] = parameter
-    return tuple(parameters.values())
+    parameters = tuple(_parse(text, ranges) for text in texts)
+    names = [parameter.name for parameter in parameters]
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
+        raise InputError(f"--grid {twice}: is given twice; write all values in one --grid")
+    return parameters
 
 
-def _parse(text: str, base: Settings) -> Parameter:
+def _parse(text: str, ranges: bool) -> Parameter:
     name, equals, listed = (part.strip() for part in text.partition("="))
-    parts = [part.strip() for part in listed.split(",")]
+    is_range = ".." in listed and "," not in listed
+    parts = [part.strip() for part in listed.split(".." if is_range else ",")]
     if not equals or not name or not all(parts):
         raise InputError(
             f"--grid {text}: write it as step.name=value,value, as in doors.lines_min=2,3"
         )
-    low, dots, high = listed.partition("..")
-    if dots and len(parts) == 1:
-        ends = parse_value(low), parse_value(high)
-        numbers = all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
-        if not numbers or ends[0] >= ends[1]:
-            raise InputError(f"--grid {text}: write a range as lower..higher, as in 0.02..0.08")
-        for end in ends:
-            apply(base, {name: end})
-        return Range(name, *ends)
     # Values as the settings hold them: 1 for a length in metres is 1.0.
-    applied = (apply(base, {name: parse_value(part)}).flat().get(name) for part in parts)
-    values = tuple(dict.fromkeys(applied))
+    values: list[Any] = [load_settings(None, [f"{name}={p}"]).flat().get(name) for p in parts]
     if None in values:
-        raise InputError(
-            f"--grid {text}: {name!r} is a step; name a setting, 'ffmap settings' lists them"
-        )
-    return Choice(name, values)
+        raise InputError(f"--grid {text}: {name!r} is a step; 'ffmap settings' lists all settings")
+    if not is_range:
+        return Parameter(name, tuple(dict.fromkeys(values)))
+    numbers = all(isinstance(value, int | float) for value in values)
+    if len(values) != 2 or not numbers or values[0] >= values[1]:
+        raise InputError(f"--grid {text}: write a range as lower..higher, as in 0.02..0.08")
+    if not ranges:
+        raise InputError(f"--grid {text}: a range needs --random N or --optuna N; or list values")
+    return Parameter(name, tuple(values), is_range=True)
 
 
-def apply(base: Settings, combination: Combination) -> Settings:
-    """Return the settings with a combination's values. Raises InputError if one is invalid."""
-    values = base.model_dump()
-    for name, value in combination.items():
-        *steps, last = name.split(".")
-        target = values
-        for step in steps:
-            target = target.setdefault(step, {})
-            if not isinstance(target, dict):
-                raise InputError(
-                    f"--grid {name}: {step!r} is no step; 'ffmap settings' lists all settings"
-                )
-        target[last] = value
-    return validate(values, "--grid")
-
-
-def overrides_of(settings: Settings) -> list[str]:
-    """Return what differs from the default settings, as --set takes it."""
+def overrides_of(base: Settings, combination: Combination) -> list[str]:
+    """Return what differs from the default settings with a combination's values, as for --set."""
     defaults = Settings().flat()
-    differing = {name: value for name, value in settings.flat().items() if value != defaults[name]}
-    return [f"{name}={json.dumps(value)}" for name, value in differing.items()]
+    return [
+        f"{name}={json.dumps(value)}"
+        for name, value in {**base.flat(), **combination}.items()
+        if value != defaults[name]
+    ]
 
 
 def grid_of(parameters: Sequence[Parameter]) -> list[Combination]:
     """Return every combination; the last parameter changes fastest."""
-    choices = [p.values for p in parameters if isinstance(p, Choice)]
-    return [_named(parameters, values) for values in itertools.product(*choices)]
+    names = [parameter.name for parameter in parameters]
+    combinations = itertools.product(*(parameter.values for parameter in parameters))
+    return [dict(zip(names, values, strict=True)) for values in combinations]
 
 
 def random_of(parameters: Sequence[Parameter], count: int, seed: int) -> list[Combination]:
-    """Return `count` different combinations; all of them if there are fewer."""
-    generator = np.random.default_rng(seed)
-    different: dict[tuple[Any, ...], Combination] = {}
-    # Choices and whole numbers may run out of different combinations.
-    for _ in range(100 * count):
-        values = tuple(_draw(parameter, generator) for parameter in parameters)
-        different.setdefault(values, _named(parameters, values))
+    """Draw `count` different combinations; all of them if there are fewer."""
+    generator, different = np.random.default_rng(seed), dict[tuple[Any, ...], Combination]()
+    for _ in range(100 * count):  # values and integers may run out of combinations
+        combination = suggest(_RandomTrial(generator), parameters)
+        different.setdefault(tuple(combination.values()), combination)
         if len(different) == count:
             break
     return list(different.values())
 
 
-def _draw(parameter: Parameter, generator: np.random.Generator) -> Any:  # noqa: ANN401 - a setting's value
-    if isinstance(parameter, Choice):
-        return parameter.values[int(generator.integers(len(parameter.values)))]
-    if parameter.whole:
-        return int(generator.integers(int(parameter.low), int(parameter.high), endpoint=True))
-    return _rounded(float(generator.uniform(parameter.low, parameter.high)))
+@dataclass(frozen=True)
+class _RandomTrial:
+    """Draws values as a trial of Optuna's suggests them."""
+
+    generator: np.random.Generator
+
+    def suggest_categorical(self, _: str, values: Sequence[Any]) -> Any:  # noqa: ANN401
+        return values[int(self.generator.integers(len(values)))]
+
+    def suggest_int(self, _: str, low: int, high: int) -> int:
+        return int(self.generator.integers(low, high, endpoint=True))
+
+    def suggest_float(self, _: str, low: float, high: float) -> float:
+        return float(self.generator.uniform(low, high))
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
-
-
-def _named(parameters: Sequence[Parameter], values: Sequence[Any]) -> Combination:
-    return dict(zip((p.name for p in parameters), values, strict=True))
+def suggest(trial: Any, parameters: Sequence[Parameter]) -> Combination:  # noqa: ANN401
+    """Return the combination that a trial, of Optuna's or random, suggests."""
+    combination: dict[str, Any] = {}
+    for parameter in parameters:
+        name, low, high = parameter.name, parameter.values[0], parameter.values[-1]
+        if not parameter.is_range:
+            combination[name] = trial.suggest_categorical(name, parameter.values)
+        elif isinstance(low, int):
+            combination[name] = trial.suggest_int(name, low, high)
+        else:  # four significant digits
+            combination[name] = float(f"{trial.suggest_float(name, low, high):.4g}")
+    return combination
 
 
 class Study:
-    """Combinations that Optuna's TPE sampler proposes, each batch after the figures of those before.
-
-    The seed makes the proposals repeatable: a sweep that is started again proposes the same.
-    """
+    """Combinations that Optuna's TPE sampler proposes; the same for the same seed and results."""
 
     def __init__(self, parameters: Sequence[Parameter], seed: int, objective: str) -> None:
         """Raises InputError if Optuna is not installed."""
@@ -174,27 +140,20 @@ class Study:
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             # The constant liar keeps the trials of one batch apart.
             sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
-        better = optuna.study.StudyDirection
-        direction = better.MINIMIZE if less_is_better(objective) else better.MAXIMIZE
+        directions = optuna.study.StudyDirection
+        higher = FIGURES[objective].better == "higher"
+        direction = directions.MAXIMIZE if higher else directions.MINIMIZE
         self._study = optuna.create_study(sampler=sampler, direction=direction)
         self._parameters = parameters
         self._failed = optuna.trial.TrialState.FAIL
 
     def batches(self, count: int, size: int) -> Iterator[list[tuple[Any, Combination]]]:
-        """Yield trials with their combinations; each batch has to be told before the next."""
+        """Yield trials with their combinations; report each batch by `tell` before the next."""
         for first in range(0, count, size):
             trials = [self._study.ask() for _ in range(min(size, count - first))]
-            yield [(trial, {p.name: _suggest(trial, p) for p in self._parameters}) for trial in trials]
+            yield [(trial, suggest(trial, self._parameters)) for trial in trials]
 
     def tell(self, trial: Any, value: float | None) -> None:  # noqa: ANN401 - optuna.Trial
         """Report a trial's objective; None if its runs failed."""
         known = value is not None and math.isfinite(value)
         self._study.tell(trial, value if known else None, state=None if known else self._failed)
-
-
-def _suggest(trial: Any, parameter: Parameter) -> Any:  # noqa: ANN401 - optuna.Trial; a setting's value
-    if isinstance(parameter, Choice):
-        return trial.suggest_categorical(parameter.name, parameter.values)
-    if parameter.whole:
-        return trial.suggest_int(parameter.name, int(parameter.low), int(parameter.high))
-    return _rounded(trial.suggest_float(parameter.name, parameter.low, parameter.high))

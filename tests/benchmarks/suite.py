@@ -4,9 +4,9 @@
     python tests/benchmarks/suite.py runs/drawn.json --suite drawn
     python tests/benchmarks/suite.py runs/quick.json --quick --cases office "hall, ramp"
 
-Every drive is simulated, run by the program as a user runs it, evaluated, and deleted. Its figures are
-kept in the JSON file; drives that the file holds already are not made again. No threshold is set on
-the reported seeds, only on lower ones.
+Every drive is simulated, run as a user runs it, evaluated, and deleted. Its figures are kept in the
+JSON file; drives in the file are not made again. No threshold is set on the reported seeds, only on
+lower ones.
 """
 
 import argparse
@@ -96,16 +96,16 @@ DRAWN = {
     "institution, empty": {"building": "institution", "speed_mps": 0.9, "clutter": 0.15},
 }
 """Buildings that are drawn from wide ranges; no threshold may be set on them."""
-FIGURES = {
-    "wall P": "area.wall.precision",
-    "wall R": "area.wall.recall",
-    "wall F1": "area.wall.f1",
-    "ceiling F1": "area.ceiling.f1",
-    "floor F1": "area.floor.f1",
-    "closed leaf F1": "area.door.f1",
-    "clutter F1": "area.clutter.f1",
-    "outside kept": "area.outside_kept_as_structure",
-    "doors found": "doors.found",
+COLUMNS = {
+    "wall P": "wall.precision",
+    "wall R": "wall.recall",
+    "wall F1": "wall.f1",
+    "ceiling F1": "ceiling.f1",
+    "floor F1": "floor.f1",
+    "closed leaf F1": "door.f1",
+    "clutter F1": "clutter.f1",
+    "outside kept": "outside_kept",
+    "doors found": "doors.recall",
     "invented": "doors.invented",
     "state right": "doors.state_right",
     "width cm": "doors.width_error_m",
@@ -115,11 +115,11 @@ FIGURES = {
     "below ceiling R": "maps.below_ceiling.recall",
     "middle P": "maps.middle.precision",
     "middle R": "maps.middle.recall",
-    "rooms R": "rooms.recall",
-    "rooms P": "rooms.precision",
+    "rooms R": "rooms.furniture_free.recall",
+    "rooms P": "rooms.furniture_free.precision",
     "ATE cm": "trajectory.ate_rmse_m",
 }
-"""Columns: a heading and the path in metrics.json; shares in percent, lengths in centimetres."""
+"""Headings and figures; shares in percent, lengths in centimetres."""
 
 Drive = Mapping[str, Any]
 
@@ -177,50 +177,48 @@ def drive(job: Drive, overrides: Sequence[str], folder: Path) -> Drive:
         options = [word for value in overrides for word in ("--set", value)]
         for command in (
             ["simulate", str(bag), "--quiet", *named],
-            ["run", str(bag), "--out", str(run), "--no-save", "--quiet", "--workers", "1", *options],
+            ["run", str(bag), "--out", str(run), "--quiet", "--workers", "1", *options],
         ):
             done = subprocess.run([FFMAP, *command], capture_output=True, text=True, check=False)
             if done.returncode:
-                return {**job, "error": (done.stderr.strip().splitlines() or ["no reason given"])[-1]}
+                errors = done.stderr.strip().splitlines() or ["no reason given"]
+                return {**job, "error": errors[-1]}
         record = json.loads((run / "run.json").read_text())
         metrics = json.loads((run / "metrics.json").read_text())
     return {**job, "metrics": metrics, "seconds": record["timings_s"]["total"]}
 
 
-def value_of(metrics: Mapping[str, Any], path: str) -> float | None:
-    """A figure in percent or centimetres; None if the drive has none."""
-    value: Any = metrics
-    for key in path.split("."):
-        value = value.get(key) if isinstance(value, Mapping) else None
-    return None if value is None else 100.0 * float(value)
-
-
 def table(drives: Iterable[Drive]) -> list[str]:
-    """A Markdown table: one row a case, the mean over its seeds; at the end the mean of the cases."""
+    """A Markdown table: the mean over the seeds of each case, and the mean of the cases."""
     by_case: dict[str, list[list[float | None]]] = defaultdict(list)
     for row in drives:
         if "metrics" in row:
-            values = [value_of(row["metrics"], path) for path in FIGURES.values()]
-            by_case[row["case"]].append(values)
-    means = {case: [mean(column) for column in zip(*rows, strict=True)] for case, rows in by_case.items()}
-    lines = markdown_head("building", *FIGURES)
-    lines += [markdown_row(case, row) for case, row in means.items()]
-    return [*lines, markdown_row("**mean**", [mean(column) for column in zip(*means.values(), strict=True)])]
+            values = (row["metrics"].get(name) for name in COLUMNS.values())
+            by_case[row["case"]].append([None if v is None else 100.0 * v for v in values])
+    means = {case: list(map(mean, zip(*rows, strict=True))) for case, rows in by_case.items()}
+    means["**mean**"] = list(map(mean, zip(*means.values(), strict=True)))
+    lines = markdown_head("building", *COLUMNS)
+    for case, row in means.items():
+        cells = ("–" if value is None else f"{value:.1f}" for value in row)
+        lines.append(f"| {case} | {' | '.join(cells)} |")
+    return lines
 
 
 def doors_by_design(drives: Iterable[Drive]) -> list[str]:
     """Doors of all drives by their design."""
     counted: dict[str, Counter[str]] = defaultdict(Counter)
     for row in drives:
-        for design, counts in row.get("metrics", {}).get("doors", {}).get("by_design", {}).items():
+        for design, counts in row.get("metrics", {}).get("doors.by_design", {}).items():
             counted[design].update(counts)
     keys = ("passed", "found", "state_right")
-    rows = [f"| {name} | {' | '.join(str(n[key]) for key in keys)} |" for name, n in sorted(counted.items())]
-    return [*markdown_head("door", *keys), *rows]
+    lines = markdown_head("door", *keys)
+    for name, n in sorted(counted.items()):
+        lines.append(f"| {name} | {' | '.join(str(n[key]) for key in keys)} |")
+    return lines
 
 
 def elements(drives: Iterable[Drive]) -> list[str]:
-    """Parts of buildings: the share of their cubes by label."""
+    """Parts of buildings: the share of their voxels by label."""
     counted: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
     for row in drives:
         for name, element in row.get("metrics", {}).get("elements", {}).items():
@@ -228,9 +226,8 @@ def elements(drives: Iterable[Drive]) -> list[str]:
     labels = ("wall", "ceiling", "floor", "door", "clutter", "outside")
     lines = markdown_head("element", "cubes", "right", *labels)
     for (name, truth), n in sorted(counted.items()):
-        total = sum(n.values())
-        shares = " | ".join(f"{100 * n[key] / total:.1f}" for key in (truth, *labels))
-        lines.append(f"| {name} | {total} | {shares} |")
+        shares = " | ".join(f"{100 * n[key] / n.total():.1f}" for key in (truth, *labels))
+        lines.append(f"| {name} | {n.total()} | {shares} |")
     return lines
 
 
@@ -241,10 +238,6 @@ def mean(values: Iterable[float | None]) -> float | None:
 
 def markdown_head(*names: str) -> list[str]:
     return [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
-
-
-def markdown_row(name: str, values: Iterable[float | None]) -> str:
-    return f"| {name} | {' | '.join('–' if v is None else f'{v:.1f}' for v in values)} |"
 
 
 if __name__ == "__main__":

@@ -260,7 +260,7 @@ def whole_run(folder: Path) -> Path:
             "timings_s": {"total": 2.5},
         },
     )
-    write_json(run / "metrics.json", {"area": {"wall": {"f1": 0.9}}})
+    write_json(run / "metrics.json", {"wall.f1": 0.9})
     line = {"type": "LineString", "coordinates": [[0.0, 0.0], [1.0, 2.0]]}
     write_geojson(run / "walls.geojson", [{"properties": {"thickness": 0.1}, "geometry": line}])
     square = {"type": "Polygon", "coordinates": [[[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 0.0]]]}

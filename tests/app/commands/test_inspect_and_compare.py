@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import NO_RETURN
-from ffmap.algorithms.truth.runs import CLASSES, classes_of
+from ffmap.algorithms.truth.changes import CLASSES, transitions
 from ffmap.app.analysis import inspection
-from ffmap.app.analysis.comparison_report import difference_of
 from ffmap.app.analysis.run_labels import read_run_labels
 from ffmap.app.commands import compare as compare_command
 from ffmap.app.commands import inspect as inspect_command
@@ -33,6 +32,7 @@ from ffmap.blueprints.entities import Fault, LineOutcome
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
+from ffmap.loaders.trajectory_file import read_tum, write_tum
 from tests.app.run.test_scans import failing
 from tests.program import ffmap, ffmap_here
 
@@ -76,7 +76,7 @@ def compared(runs: dict[str, Path], environment: dict[str, str], tmp_path_factor
     out = tmp_path_factory.mktemp("compared")
     done = ffmap(environment, "compare", runs["usual"], runs["other"], "--out", out)
     assert done.returncode == 0, done.stderr
-    for word in (*(setting.partition("=")[0] for setting in SETTINGS), "labels changed", "area.wall.f1"):
+    for word in (*(setting.partition("=")[0] for setting in SETTINGS), "labels changed", "wall F1 %"):
         assert word in done.stdout
     (out / "stdout.txt").write_text(done.stdout)
     return out
@@ -114,58 +114,75 @@ def recorded(out: Path, entity: str) -> dict[int, dict[str, Any]]:
 
 def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str, Path]) -> None:
     a, b = labels_of(runs["usual"]), labels_of(runs["other"])
-    found = report(compared)["comparisons"][0]["labels"]
+    (found,) = report(compared)["comparisons"]
     changed_points = recorded(compared, entities.CHANGED_POINTS.format("B"))
+    placed = read_run_labels(open_run(runs["usual"]), with_points=True)
+    places = {cloud.scan: cloud.points_map for cloud in placed}
     confusion = np.zeros((CLASSES, CLASSES), int)
-    changed = changed_scan = 0
     for scan, stamp in enumerate(sorted(a)):
         (label_a, scan_a), (label_b, scan_b) = a[stamp], b[stamp]
-        differs = label_a != label_b
-        row = found["scans"][scan]
-        assert (row["scan"], row["stamp_ns"]) == (scan, stamp)
-        assert row["changed"] == np.count_nonzero(differs)
-        assert row["changed_label_scan"] == np.count_nonzero(scan_a != scan_b)
-        assert row["points"] == np.count_nonzero((label_a != NO_RETURN) | (label_b != NO_RETURN))
-        # Which point changed from what to what, in the cloud's order.
+        differs, valid = label_a != label_b, (label_a != NO_RETURN) | (label_b != NO_RETURN)
+        before, after = transitions(label_a, label_b)
+        assert found["scans"][scan] == {
+            "scan": scan,
+            "stamp_ns": stamp,
+            "points": np.count_nonzero(valid),
+            "changed": np.count_nonzero(differs),
+            "changed_label_scan": np.count_nonzero(scan_a != scan_b),
+        }
+        # Which point changed from what to what and where, in the cloud's order.
         values = changed_points[scan]
-        assert values["before"].tolist() == classes_of(label_a[differs]).tolist()
-        assert values["after"].tolist() == classes_of(label_b[differs]).tolist()
-        assert values["class_ids"].tolist() == (CLASSES * values["before"].astype(int) + values["after"]).tolist()
-        assert values["positions"].shape == (row["changed"], 3)
-        changed, changed_scan = changed + row["changed"], changed_scan + row["changed_label_scan"]
-        valid = (label_a != NO_RETURN) | (label_b != NO_RETURN)
-        np.add.at(confusion, (classes_of(label_a[valid]), classes_of(label_b[valid])), 1)
-    assert len(found["scans"]) == len(a) == SCANS
-    assert found["changed"] == changed > 500
-    assert found["changed_label_scan"] == changed_scan > 1000
+        np.testing.assert_array_equal(values["before"], before[differs])
+        np.testing.assert_array_equal(values["after"], after[differs])
+        codes = CLASSES * before.astype(int) + after
+        np.testing.assert_array_equal(values["class_ids"], codes[differs])
+        np.testing.assert_allclose(values["positions"], places[scan][differs], atol=1e-5)
+        np.add.at(confusion, (before[valid], after[valid]), 1)
+    changes = found["changes"]
+    assert len(found["scans"]) == changes["labels.scans"] == len(a) == SCANS
+    assert changes["labels.changed"] == sum(s["changed"] for s in found["scans"]) > 500
+    assert changes["labels.changed_scan"] > 1000
     assert found["confusion"] == confusion.tolist()
-    assert sum(found["transitions"].values()) == changed
+    assert sum(found["transitions"].values()) == changes["labels.changed"]
 
 
-def test_what_became_of_labels_stands_below_the_labels_that_it_tells_of(compared: Path) -> None:
-    found = report(compared)["comparisons"][0]["labels"]
-    document = "".join(
+def test_what_differs_is_printed_and_in_the_recording(
+    compared: Path, runs: dict[str, Path]
+) -> None:
+    found = report(compared)
+    (change,) = found["comparisons"]
+    text = "".join(
         chunk.to_record_batch().column("TextDocument:text")[0].as_py()[0]
-        for chunk in RrdReader(compared / "comparison.rrd").stream().filter(content=[entities.CHANGES_TEXT.format("B")])
+        for chunk in RrdReader(compared / "comparison.rrd")
+        .stream()
+        .filter(content=[entities.CHANGES_TEXT.format("B")])
     )
-    for text, separator in (((compared / "stdout.txt").read_text(), "│"), (document, "|")):
-        rows = [[cell.strip() for cell in line.split(separator)[1:-1]] for line in text.splitlines()]
-        named = [row[0] for row in rows if len(row) == 2]
-        first, scans = named.index("labels changed"), named.index("labels of single scans changed")
-        parts = [name for name in named if re.match(r"↳ [a-z ]+ → [a-z]", name)]
-        assert named[first + 1 : scans] == [*parts, f"↳ most of all in scan {worst_of(found)}"]
-        assert parts == [f"↳ {name}" for name in list(found["transitions"])[: len(parts)]]
-        assert len(parts) >= 3
-        assert not named[scans + 1].startswith("↳")
-
-
-def worst_of(labels: dict[str, Any]) -> int:
-    """The scan with most changed labels."""
-    return int(max(labels["scans"], key=lambda scan: scan["changed"])["scan"])
+    worst = max(change["scans"], key=lambda scan: scan["changed"])["scan"]
+    for shown in (text, (compared / "stdout.txt").read_text()):
+        for words in (f"labels {next(iter(change['transitions']))}", "wall faces lost m"):
+            assert words in shown
+        assert re.search(rf"scan with most changed labels\W+{worst}\b", shown)
+    assert found["settings"] == {
+        "smoothing.returns": [11, 9],
+        "wall_planes.similarity_m": [0.05, 0.002],
+        "doors.recess_min_m": [0.022, 0.05],
+        "relabelling.wall_distance_m": [0.04, 0.01],
+    }
+    names = ("usual", "other")
+    metrics = [json.loads((runs[name] / "metrics.json").read_text()) for name in names]
+    assert found["figures"]["wall.f1"] == [own["wall.f1"] for own in metrics]
+    assert change["not_compared"] == {}
+    assert change["changes"]["trajectory.poses"] == SCANS
+    assert change["changes"]["trajectory.max_m"] == 0.0
+    files = [json.loads((runs[name] / "doors.geojson").read_text()) for name in names]
+    more = len(files[1]["features"]) - len(files[0]["features"])
+    assert more == change["changes"]["doors.gained"] - change["changes"]["doors.lost"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="folders cannot be locked there")
-def test_a_run_that_was_killed_is_told_from_one_that_goes_on(runs: dict[str, Path], tmp_path: Path) -> None:
+def test_a_run_that_was_killed_is_told_from_one_that_is_running(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
     killed = tmp_path / "killed"
     killed.mkdir()
     record = json.loads((runs["other"] / "run.json").read_text())
@@ -173,30 +190,13 @@ def test_a_run_that_was_killed_is_told_from_one_that_goes_on(runs: dict[str, Pat
     with held(killed):
         assert open_run(killed).outcome == "running"
         found = compare(tmp_path / "out", runs["usual"], killed)
+        assert is_held(killed)
     assert "B, killed: is still running; what it has is compared" in found["warnings"]
-    assert open_run(killed).outcome == "killed"
     found = compare(tmp_path / "out", runs["usual"], killed)
-    assert (
-        f"B, killed: was killed, 'ffmap run --resume {killed}' goes on with it; what it has is compared"
-        in found["warnings"]
-    )
+    resume = f"'ffmap run --resume {killed}' continues it"
+    assert f"B, killed: was killed, {resume}; what it has is compared" in found["warnings"]
     assert [run["outcome"] for run in found["runs"]] == ["complete", "killed"]
-    # Asking does not take the folder.
-    with held(killed):
-        assert is_held(killed)
-        assert is_held(killed)
     assert not is_held(killed)
-    assert not is_held(tmp_path / "none")
-
-
-def test_changed_points_lie_where_the_runs_saw_them(compared: Path, runs: dict[str, Path]) -> None:
-    changed = recorded(compared, entities.CHANGED_POINTS.format("B"))
-    usual = {cloud.scan: cloud for cloud in read_run_labels(open_run(runs["usual"]), with_points=True)}
-    b = labels_of(runs["other"])
-    for scan, stamp in enumerate(sorted(b)):
-        cloud = usual[scan]
-        assert cloud.points_map is not None
-        np.testing.assert_allclose(changed[scan]["positions"], cloud.points_map[b[stamp][0] != cloud.label], atol=1e-5)
 
 
 def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path]) -> None:
@@ -205,7 +205,8 @@ def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path
     poses = {row.scan: row.values for row in rows(recording, entities.SCAN, "translation")}
     seen = {}
     for row in rows(recording, entities.POINTS, entities.POINT_LABEL_SCAN):
-        T = transforms.from_quaternion(poses[row.scan]["translation"][0], poses[row.scan]["quaternion"][0])
+        pose = poses[row.scan]
+        T = transforms.from_quaternion(pose["translation"][0], pose["quaternion"][0])
         seen[row.scan] = transforms.apply(T, row.values["positions"].astype(np.float64))
     off_m = []
     for cloud in read_run_labels(open_run(runs["usual"]), with_points=True):
@@ -216,41 +217,23 @@ def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path
     assert np.quantile(np.concatenate(off_m), 0.95) < 0.02
 
 
-def test_settings_figures_and_files_that_differ(compared: Path, runs: dict[str, Path]) -> None:
-    found = report(compared)
-    assert found["settings"] == {
-        "smoothing.returns": {"A": 11, "B": 9},
-        "wall_planes.similarity_m": {"A": 0.05, "B": 0.002},
-        "doors.recess_min_m": {"A": 0.022, "B": 0.05},
-        "relabelling.wall_distance_m": {"A": 0.04, "B": 0.01},
-    }
-    figure = found["figures"]["area.wall.f1"]
-    a, b = (json.loads((runs[name] / "metrics.json").read_text())["area"]["wall"]["f1"] for name in ("usual", "other"))
-    assert (figure["A"], figure["B"], figure["differences"]) == (a, b, [b - a])
-    pair_found = found["comparisons"][0]
-    assert pair_found["not_compared"] == {}
-    assert pair_found["trajectory"]["poses"] == SCANS
-    assert pair_found["trajectory"]["max_m"] == 0.0
-    doors = [len(json.loads((runs[name] / "doors.geojson").read_text())["features"]) for name in ("usual", "other")]
-    assert doors[1] - doors[0] == len(pair_found["doors"]["gained"]) - len(pair_found["doors"]["lost"])
-    assert pair_found["planes"]["lost"] + pair_found["planes"]["gained"] > 0
-
-
-def test_the_recording_holds_both_runs_below_their_letters(compared: Path, runs: dict[str, Path]) -> None:
+def test_the_recording_holds_both_runs_below_their_letters(
+    compared: Path, runs: dict[str, Path]
+) -> None:
     path = compared / "comparison.rrd"
     RrdReader(path).store()  # fails without a footer
     assert len(RrdReader(path).recordings()) == 1
     for letter, name in (("A", "usual"), ("B", "other")):
-        own = {row.scan: row for row in rows(runs[name] / "recording.rrd", entities.POINTS, "label_scan")}
+        recording = runs[name] / "recording.rrd"
+        own = {row.scan: row for row in rows(recording, entities.POINTS, "label_scan")}
         below = {row.scan: row for row in rows(path, f"/{letter}{entities.POINTS}", "label_scan")}
         assert own.keys() == below.keys() == set(range(SCANS))
         for scan, row in own.items():
-            np.testing.assert_array_equal(row.values["label_scan"], below[scan].values["label_scan"])
-            np.testing.assert_array_equal(row.values["positions"], below[scan].values["positions"])
+            for column in ("label_scan", "positions"):
+                np.testing.assert_array_equal(row.values[column], below[scan].values[column])
     entity_paths = {chunk.entity_path for chunk in RrdReader(path).stream()}
     assert not [p for p in entity_paths if p.startswith(entities.SCAN)]
-    for path_of in (entities.CHANGED_CUBES, entities.CHANGES_TEXT):
-        assert path_of.format("B") in entity_paths
+    assert entities.CHANGED_CUBES.format("B") in entity_paths
 
 
 def test_a_run_against_its_copy_differs_nowhere(
@@ -261,52 +244,42 @@ def test_a_run_against_its_copy_differs_nowhere(
     layout = Mock(wraps=compare_blueprint.build)
     monkeypatch.setattr(compare_blueprint, "build", layout)
     found = compare(tmp_path / "out", runs["usual"], copied, runs["other"])
+    same, other = found["comparisons"]
     # It opens on what changed most: the third run, not the copy, and there its worst scan.
-    assert layout.call_args.args[3:] == (worst_of(found["comparisons"][1]["labels"]), "C", (0, SCANS - 1))
-    assert found["runs"][0]["recording_id"] == found["runs"][1]["recording_id"]
-    assert found["settings"].keys() == {setting.partition("=")[0] for setting in SETTINGS}
-    same = found["comparisons"][0]
-    assert same["labels"]["changed"] == same["labels"]["changed_label_scan"] == 0
-    assert same["labels"]["transitions"] == {}
-    assert same["labels"]["points"] > 100_000
-    for part in ("walls", "grid", "doors", "planes"):
-        counts = {
-            name: value for name, value in same[part].items() if "lost" in name or "gained" in name or name == "altered"
-        }
-        assert counts
-        assert not any(counts.values()), counts
+    worst = max(other["scans"], key=lambda scan: scan["changed"])["scan"]
+    assert layout.call_args.args[3:] == (worst, "C", (0, SCANS - 1))
+    assert same["transitions"] == {}
+    assert same["changes"]["labels.points"] > 100_000
+    differing = ("changed", "lost", "gained", "altered", "lost_m", "gained_m", "max_m")
+    assert not any(v for k, v in same["changes"].items() if k.rpartition(".")[2] in differing)
     # Two runs with the same recording id are both there, and the third is compared as it is alone.
-    entity_paths = {chunk.entity_path for chunk in RrdReader(tmp_path / "out" / "comparison.rrd").stream()}
+    recording = RrdReader(tmp_path / "out" / "comparison.rrd")
+    entity_paths = {chunk.entity_path for chunk in recording.stream()}
     assert {f"/{letter}{entities.POINTS}" for letter in "ABC"} <= entity_paths
-    assert found["comparisons"][1]["labels"]["changed"] == report(compared)["comparisons"][0]["labels"]["changed"]
+    assert other["changes"] == report(compared)["comparisons"][0]["changes"]
 
 
-def test_poses_that_differ_are_told_and_labels_compared_all_the_same(
+def test_poses_that_differ_are_measured_and_labels_compared_all_the_same(
     compared: Path, runs: dict[str, Path], tmp_path: Path
 ) -> None:
-    """As after another levelling: the second map is turned by a degree about one of its points, and shifted."""
+    """As after another levelling: the second map is turned by a degree, and shifted."""
     moved = tmp_path / "moved"
     shutil.copytree(runs["other"], moved)
-    poses = np.loadtxt(moved / "trajectory.tum")
+    poses = read_tum(moved / "trajectory.tum")
     turn = Rotation.from_euler("yz", [0.3, 1.0], degrees=True)
-    before = poses[:, 1:4].copy()
-    poses[:, 1:4] = turn.apply(before) + np.array([0.1, 0.0, 0.02])
-    poses[:, 4:] = (turn * Rotation.from_quat(poses[:, 4:])).as_quat()
-    # Stamps as they stood: a float would lose their last digits.
-    stamps = [line.split()[0] for line in (moved / "trajectory.tum").read_text().splitlines()]
-    rows_of = [
-        " ".join([stamp, *(f"{value:.9f}" for value in row[1:])]) for stamp, row in zip(stamps, poses, strict=True)
-    ]
-    (moved / "trajectory.tum").write_text("\n".join(rows_of) + "\n")
-    change, same = compare(tmp_path / "out", runs["usual"], moved)["comparisons"][0], report(compared)["comparisons"][0]
-    assert change["labels"] == same["labels"]
-    assert change["planes"] == same["planes"]
-    distance = np.linalg.norm(poses[:, 1:4] - before, axis=1)
-    assert change["trajectory"]["mean_m"] == pytest.approx(distance.mean(), abs=1e-6)
-    assert change["trajectory"]["max_m"] == pytest.approx(distance.max(), abs=1e-6)
-    assert change["trajectory"]["aligned_max_m"] < 1e-6 < 0.1 < change["trajectory"]["mean_m"]
-    drawn = recorded(tmp_path / "out", f"{entities.POSE_DISTANCE.format('B')}/as_they_stand")
-    np.testing.assert_allclose([drawn[scan]["scalars"][0] for scan in range(SCANS)], distance, atol=2e-6)
+    turned = poses.moved(transforms.make_transform(turn, [0.1, 0.0, 0.02]))
+    write_tum(moved / "trajectory.tum", turned)
+    (change,) = compare(tmp_path / "out", runs["usual"], moved)["comparisons"]
+    (same,) = report(compared)["comparisons"]
+    assert (change["scans"], change["confusion"]) == (same["scans"], same["confusion"])
+    distance = np.linalg.norm((turned.T_map_base - poses.T_map_base)[:, :3, 3], axis=1)
+    measured = {name: change["changes"][f"trajectory.{name}"] for name in ("mean_m", "max_m")}
+    expected = {"mean_m": distance.mean(), "max_m": distance.max()}
+    assert measured == pytest.approx(expected, abs=1e-6)
+    assert change["changes"]["trajectory.aligned_max_m"] < 1e-6 < 0.1 < measured["mean_m"]
+    drawn = recorded(tmp_path / "out", f"{entities.POSE_DISTANCE.format('B')}/in_the_map")
+    curve = [drawn[scan]["scalars"][0] for scan in range(SCANS)]
+    np.testing.assert_allclose(curve, distance, atol=2e-6)
     # Changed points lie in the first run's map, over which they are shown.
     points = entities.CHANGED_POINTS.format("B")
     mine, usual = recorded(tmp_path / "out", points), recorded(compared, points)
@@ -314,20 +287,13 @@ def test_poses_that_differ_are_told_and_labels_compared_all_the_same(
         np.testing.assert_array_equal(mine[scan]["positions"], usual[scan]["positions"])
 
 
-def test_the_file_of_the_labels_has_what_the_labelled_bag_has(runs: dict[str, Path]) -> None:
-    bag = labels_of(runs["other"])
-    clouds = list(read_run_labels(open_run(runs["other"])))
-    assert [cloud.scan for cloud in clouds] == list(range(SCANS))
-    for cloud in clouds:
-        np.testing.assert_array_equal(cloud.label, bag[cloud.stamp_ns][0])
-        np.testing.assert_array_equal(cloud.label_scan, bag[cloud.stamp_ns][1])
-
-
-def test_points_of_another_bag_are_not_taken_for_the_runs(runs: dict[str, Path], tmp_path: Path) -> None:
+def test_points_of_another_bag_are_not_taken_for_the_runs(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
     """Such as one of the same name, recorded later with another lidar."""
     other = tmp_path / "drive.bag"
-    values = {"building": "small", "seed": 3, "sensor": "hdl32e", "format": "bag", "duration_s": 3.0}
-    simulate(other, SimulationSettings.model_validate(values))
+    drive = {"building": "small", "seed": 3, "format": "bag", "duration_s": 3.0}
+    simulate(other, SimulationSettings.model_validate({**drive, "sensor": "hdl32e"}))
     run = Path(shutil.copytree(runs["usual"], tmp_path / "run"))
     record = json.loads((run / "run.json").read_text())
     record["bag"]["path"] = str(other)
@@ -336,42 +302,43 @@ def test_points_of_another_bag_are_not_taken_for_the_runs(runs: dict[str, Path],
         list(read_run_labels(open_run(run), with_points=True))
 
 
-def test_a_scan_that_fails_is_named_with_its_reason(runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inspection, "label_scan", failing(inspection.label_scan, {0}, ValueError("no wall")))
-    with pytest.raises(InputError, match=r"--scan 3: was skipped \(ValueError: no wall\)"):
-        inspection.label_again(open_run(runs["other"]), 3)
+def test_what_a_run_lacks_is_reported_and_the_rest_compared(
+    runs: dict[str, Path], tmp_path: Path
+) -> None:
+    record = json.loads((runs["other"] / "run.json").read_text())
 
+    def make(name: str, **changed: object) -> Path:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(record | changed))
+        return tmp_path / name
 
-def test_what_a_run_lacks_is_said_and_the_rest_compared(runs: dict[str, Path], tmp_path: Path) -> None:
-    cut = tmp_path / "cut"
-    cut.mkdir()
+    cut = make("cut")
+    shutil.copy(runs["other"] / "walls.geojson", cut)
     whole = (runs["other"] / "recording.rrd").read_bytes()
     (cut / "recording.rrd").write_bytes(whole[: int(0.7 * len(whole))])
-    shutil.copy(runs["other"] / "run.json", cut)
     found = compare(tmp_path / "out1", runs["usual"], cut)
     assert any("was cut" in warning for warning in found["warnings"])
-    change = found["comparisons"][0]
-    assert change["planes"]["lost"] + change["planes"]["gained"] > 0
-    assert set(change["not_compared"]) == {"labels", "trajectory", "walls", "doors", "grid"}
+    (change,) = found["comparisons"]
+    assert set(change["not_compared"]) == {"labels", "trajectory", "doors", "grid"}
     assert all("B has no" in why for why in change["not_compared"].values())
 
-    bare = tmp_path / "bare"
-    bare.mkdir()
-    record = json.loads((runs["other"] / "run.json").read_text())
-    (bare / "run.json").write_text(json.dumps(record | {"outcome": "aborted", "settings": {"gone": {"by_m": 1}}}))
+    bare = make("bare", outcome="aborted", settings={"gone": {"by_m": 1}})
     (bare / "recording.rrd").write_text("this is no recording")
     found = compare(tmp_path / "out2", bare, runs["usual"])
-    assert any("aborted" in warning for warning in found["warnings"])
-    assert any("is not a Rerun recording" in warning for warning in found["warnings"])
-    assert found["settings"]["gone.by_m"] == {"A": 1, "B": None}
+    for words in ("aborted", "is not a Rerun recording"):
+        assert any(words in warning for warning in found["warnings"])
+    assert found["settings"]["gone.by_m"] == [1, None]
     assert found["comparisons"][0]["compared"] == []
 
-    foreign = tmp_path / "foreign"
-    shutil.copytree(runs["usual"], foreign)
-    (foreign / "run.json").write_text(json.dumps(record | {"bag": {"path": "/elsewhere.bag", "digest": "another"}}))
+    foreign = make("foreign", bag={"path": "/elsewhere.bag", "digest": "another"})
+    shutil.copy(runs["usual"] / "metrics.json", foreign)
     found = compare(tmp_path / "out3", runs["usual"], foreign)
-    assert set(found["comparisons"][0]["not_compared"].values()) == {"the runs are of different bags"}
-    assert found["figures"]["area.wall.f1"]["differences"] == [0.0]
+    reasons = set(found["comparisons"][0]["not_compared"].values())
+    assert reasons == {"the runs labelled clouds of different bags or topics"}
+    assert len(set(found["figures"]["wall.f1"])) == 1
+    (foreign / "metrics.json").write_text("[]")
+    with pytest.raises(InputError, match=r"metrics\.json: .*no names and values"):
+        compare(tmp_path / "out4", runs["usual"], foreign)
 
 
 def test_mistakes_are_one_line_and_nothing_of_a_run_is_overwritten(
@@ -387,7 +354,7 @@ def test_mistakes_are_one_line_and_nothing_of_a_run_is_overwritten(
     for paths, out, expected in (
         ((usual,), None, "two run folders"),
         ((usual, tmp_path / "none"), None, "none: no such folder"),
-        ((usual, runs["other"]), usual / "recording.rrd", "recording.rrd: lies among the files of a run"),
+        ((usual, runs["other"]), usual / "recording.rrd", "recording.rrd: is within a run"),
     ):
         with pytest.raises(InputError, match=expected):
             compare_command.compare(paths, out, scans=True, spawn=False, quiet=True)
@@ -395,6 +362,15 @@ def test_mistakes_are_one_line_and_nothing_of_a_run_is_overwritten(
 
 
 # --- inspect ---
+
+
+def test_a_scan_that_fails_is_named_with_its_reason(
+    runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failing_label_scan = failing(inspection.label_scan, {0}, ValueError("no wall"))
+    monkeypatch.setattr(inspection, "label_scan", failing_label_scan)
+    with pytest.raises(InputError, match=r"--scan 3: was skipped \(ValueError: no wall\)"):
+        inspection.label_again(open_run(runs["other"]), 3)
 
 
 def test_a_scan_is_labelled_again_bit_for_bit(
@@ -566,11 +542,3 @@ def test_what_cannot_be_inspected_is_one_line(
     assert not out.exists()
     inspect_command.inspect(moved, "3", None, bag, out, spawn=False)
     RrdReader(out).store()  # fails without a footer
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "expected"),
-    [(0.1 + 0.2, 0.3, "="), (0.5, 0.50004, "+4e-05"), (0.5, 0.4, "-0.1000"), (3.0, 5.0, "+2"), (None, 1.0, "–")],
-)
-def test_the_difference_of_two_figures_in_words(first: float | None, second: float | None, expected: str) -> None:
-    assert difference_of(first, second) == expected

@@ -164,14 +164,14 @@ def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_pa
     code, out, _ = ffmap("rooms", "a.png", "--resolution", 0.05, "--truth", "a_gt_segmentation.png", "--out", "one")
     assert code == 0
     assert "2 rooms for 2 true ones" in out
-    figures = json.loads((tmp_path / "one" / "metrics.json").read_text())["rooms"]
-    assert figures["recall"] > 0.995
-    assert figures["precision"] > 0.995
+    figures = json.loads((tmp_path / "one" / "metrics.json").read_text())
+    assert figures["rooms.recall"] > 0.995
+    assert figures["rooms.precision"] > 0.995
     code, out, err = ffmap("rooms", tmp_path, "--resolution", 0.05, "--out", "many")
     assert code == 0, err
-    merged = json.loads((tmp_path / "many" / "b" / "metrics.json").read_text())["rooms"]
-    assert (merged["true"], merged["found"], merged["merged"]) == (2, 1, 1)
-    assert merged["precision"] == pytest.approx(25 / 45, abs=0.02)
+    merged = json.loads((tmp_path / "many" / "b" / "metrics.json").read_text())
+    assert (merged["rooms.true"], merged["rooms.found"], merged["rooms.merged"]) == (2, 1, 1)
+    assert merged["rooms.precision"] == pytest.approx(25 / 45, abs=0.02)
     assert "mean of 2 plain" in out
     assert "mean of 1 furnitures" in out
 

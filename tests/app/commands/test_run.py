@@ -235,13 +235,12 @@ def test_rooms_doors_topology_and_recording_tell_the_same(finished: Path) -> Non
         "/rooms/graph",
     } <= paths
     metrics = json.loads((finished / "metrics.json").read_text())
-    assert metrics["rooms"]["found"] == len(rooms)
-    assert metrics["rooms"]["precision"] > 0.8
+    assert metrics["rooms.furniture_free.found"] == len(rooms)
+    assert metrics["rooms.furniture_free.precision"] > 0.8
     # Beside them, as in Fig. 10, the rooms of the normal map, with and without alpha removal.
-    assert set(metrics["rooms_of_maps"]) == set(Segmented)
-    for name, figures in metrics["rooms_of_maps"].items():
+    for name in Segmented:
         file = json.loads((finished / rooms_file(name)).read_text())
-        assert figures["found"] == len(file["features"])
+        assert metrics[f"rooms.{name}.found"] == len(file["features"])
         if name != Segmented.FURNITURE_FREE:
             assert f"{entities.ROOMS_COMPARED}/{name}/passages" in paths
 
@@ -270,7 +269,7 @@ def test_every_file_can_be_read_by_something_else(finished: Path, environment: d
     walls = json.loads((finished / "walls.geojson").read_text())
     assert walls["features"]
     metrics = json.loads((finished / "metrics.json").read_text())
-    assert 0.5 < metrics["area"]["floor"]["f1"] <= 1.0
+    assert 0.5 < metrics["floor.f1"] <= 1.0
 
 
 def test_errors_are_a_layer_of_the_recording(finished: Path) -> None:
@@ -291,8 +290,8 @@ def test_errors_are_a_layer_of_the_recording(finished: Path) -> None:
     false_walls = sum(
         int(np.count_nonzero(c == (red << 24 | green << 16 | blue << 8 | 255))) for c in verdicts.values()
     )
-    assert false_walls == metrics["points"]["wall"]["wrong"] > 0
-    assert metrics["statistics"]["points_in_cloud"]["max"] >= max(map(len, verdicts.values()))
+    assert false_walls == metrics["points.wall.wrong"] > 0
+    assert metrics["points_in_cloud.max"] >= max(map(len, verdicts.values()))
     static = {path: rows for path, rows in chunks if "scan" not in rows.schema.names}
     entries = static[f"{entities.ERROR_LEGEND}/names"].column("Points2D:labels").to_pylist()[0]
     assert entries == [name for name, _ in entities.ERROR_LEGEND_ENTRIES]
@@ -720,8 +719,8 @@ def test_evaluation_of_nothing_is_refused(
     done = ffmap(environment, "evaluate", copy, "--truth", moved)
     assert done.returncode == 0, done.stderr
     assert "not compared: labels, doors, maps and rooms: the truth has poses alone" in done.stdout
-    figures = json.loads((copy / "metrics.json").read_text())["trajectory"]
-    assert figures["ate_rmse_m"] < 1e-6 < figures["unaligned_rmse_m"]
+    figures = json.loads((copy / "metrics.json").read_text())
+    assert figures["trajectory.ate_rmse_m"] < 1e-6 < figures["trajectory.unaligned_rmse_m"]
     (copy / "doors.geojson").unlink()
     done = ffmap_here(environment, "evaluate", copy)
     assert "not compared: doors: the run has no doors.geojson; --outputs with geojson writes it" in done.stdout

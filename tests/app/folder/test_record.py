@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffmap.app.analysis.comparison import figures
 from ffmap.app.analysis.evaluation import read_doors
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.record import mount_corrections
@@ -63,13 +62,6 @@ def test_what_was_labelled_and_where_it_sits_is_told_of_one_lidar_and_of_several
 def test_a_record_of_another_version_may_hold_more_and_less(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text(json.dumps({"bag": None, "new": [1], "options": {"new": 1}}))
     assert open_run(tmp_path).part("options") == {"new": 1}
-
-
-def test_metrics_that_are_none(tmp_path: Path) -> None:
-    (tmp_path / "run.json").write_text("{}")
-    (tmp_path / "metrics.json").write_text("[]")
-    with pytest.raises(InputError, match=r"metrics\.json: contains no names and values"):
-        figures([open_run(tmp_path)])
 
 
 LINE = {"type": "LineString", "coordinates": [[0, 0], [1, 2]]}

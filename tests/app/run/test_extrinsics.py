@@ -48,7 +48,7 @@ def test_a_mount_that_is_off_is_refined_and_told(folder: Path) -> None:
     assert np.degrees(np.linalg.norm(left[:3])) < 0.4
     assert np.linalg.norm(left[3:]) < 0.03
     metrics = json.loads((folder / "run" / "metrics.json").read_text())
-    assert metrics["area"]["wall"]["f1"] > 0.96
+    assert metrics["wall.f1"] > 0.96
     # What looks at the run later looks at it with the same mount.
     words = ("inspect", folder / "run", "--scan", 50, "--out", folder / "s.rrd")
     inspected = ffmap_here(with_cache(folder / "cache"), *words)

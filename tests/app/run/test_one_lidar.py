@@ -26,8 +26,8 @@ def test_its_scans_are_labelled_as_well_as_those_of_a_lidar_that_lies(run_dir: P
     assert record["counts"]["scans"] > 2 * SCANS_PER_BLOCK
     metrics = json.loads((run_dir / "metrics.json").read_text())
     for label, least in (("wall", 0.96), ("floor", 0.98), ("ceiling", 0.98)):
-        assert metrics["area"][label]["f1"] > least, label
-    assert metrics["trajectory"]["ate_rmse_m"] < 0.02
+        assert metrics[f"{label}.f1"] > least, label
+    assert metrics["trajectory.ate_rmse_m"] < 0.02
 
 
 def test_a_scan_labelled_again_has_the_recorded_labels(run_dir: Path) -> None:

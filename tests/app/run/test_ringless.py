@@ -29,8 +29,8 @@ def test_its_scans_are_labelled(run_dir: Path) -> None:
     assert record["counts"]["scans"] == record["counts"]["clouds"] == 10
     metrics = json.loads((run_dir / "metrics.json").read_text())
     for label, least in (("wall", 0.9), ("floor", 0.9), ("ceiling", 0.9)):
-        assert metrics["area"][label]["f1"] > least, label
-    assert metrics["trajectory"]["ate_rmse_m"] < 0.02
+        assert metrics[f"{label}.f1"] > least, label
+    assert metrics["trajectory.ate_rmse_m"] < 0.02
 
 
 def test_a_scan_labelled_again_has_the_recorded_labels(run_dir: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.app.analysis.evaluation import evaluate_run
+from ffmap.app.analysis.figures import FIGURES
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.record import mount_corrections
 from ffmap.app.record.read_back import readable, rows
@@ -72,9 +73,11 @@ def test_all_that_lie_are_labelled_and_vote_together(folder: Path) -> None:
     assert (labelled[LEFT], labelled[RIGHT]) == (driven[LEFT], driven[RIGHT])
     assert len(read_tum(folder / "run" / "trajectory.tum")) == counts["scans"]
     metrics = json.loads((folder / "run" / "metrics.json").read_text())
-    assert metrics["scans"] == {"counted": counts["scans"], "skipped": 0, "without_truth": counts["clouds"] - counts["scans"]}
+    assert metrics["scans.counted"] == counts["scans"]
+    assert metrics["scans.skipped"] == 0
+    assert metrics["scans.without_truth"] == counts["clouds"] - counts["scans"]
     for label, least in (("wall", 0.97), ("floor", 0.98), ("ceiling", 0.98)):
-        assert metrics["area"][label]["f1"] > least, label
+        assert metrics[f"{label}.f1"] > least, label
 
 
 def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None:
@@ -127,13 +130,15 @@ def test_killed_and_resumed_with_one_worker_it_has_the_same_labels(folder: Path)
         assert record_of(out)[what] == record_of(folder / "run")[what]
     evaluate_run(open_run(out), None, 1)
     whole, resumed = (json.loads((run / "metrics.json").read_text()) for run in (folder / "run", out))
-    for what in ("area", "area_scan", "points", "scans"):
-        assert resumed[what] == whole[what]
+    for name, value in whole.items():
+        if name in FIGURES and "per_cloud" not in name:
+            assert resumed[name] == value, name
     compared = ffmap_here(environment, "compare", folder / "run", out, "--out", folder / "same")
     assert compared.returncode == 0, compared.stderr
     (found,) = json.loads((folder / "same" / "comparison.json").read_text())["comparisons"]
-    assert (found["labels"]["changed"], found["labels"]["changed_label_scan"]) == (0, 0)
-    assert len(found["labels"]["scans"]) == len(read_tum(out / "trajectory.tum"))
+    changes = found["changes"]
+    assert (changes["labels.changed"], changes["labels.changed_scan"]) == (0, 0)
+    assert changes["labels.scans"] == len(read_tum(out / "trajectory.tum"))
 
 
 def test_a_scan_is_labelled_again_bit_for_bit(folder: Path) -> None:
@@ -182,5 +187,5 @@ def test_two_upright_lidars_that_open_wide_are_labelled_both(tmp_path: Path) -> 
     assert [driven["/truth/classes"], driven["/truth/classes_2"]] == [driven[topic] for topic in topics]
     assert sorted(open_run(tmp_path / "run").topics) == topics
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert metrics["scans"]["without_truth"] == 0
-    assert metrics["area"]["wall"]["f1"] > 0.95
+    assert metrics["scans.without_truth"] == 0
+    assert metrics["wall.f1"] > 0.95

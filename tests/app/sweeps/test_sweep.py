@@ -1,4 +1,4 @@
-"""A sweep as a user meets it: on this machine, killed and started again, on a Dask cluster, and with mistakes."""
+"""A sweep on this machine, killed and started again, on a Dask cluster, and with mistakes."""
 
 import csv
 import json
@@ -17,9 +17,11 @@ from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP, FFMAP_IN_FRONT, ffmap, ffmap_here, with_cache
+from tests.program import FFMAP, FFMAP_IN_FRONT, ffmap, with_cache
 
 GRID = ["--grid", "labelling.wall_distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
+SEEDS = ["seed=0,1"]
+Killed = tuple[Path, dict[str, int], str]
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +32,8 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("bags") / "drive.bag"
-    values = {"building": "small", "seed": 3, "sensor": "vlp16", "format": "bag", "duration_s": 2.0}
-    simulate(path, SimulationSettings.model_validate(values))
+    drive = {"building": "small", "seed": 3, "sensor": "vlp16", "format": "bag", "duration_s": 2.0}
+    simulate(path, SimulationSettings.model_validate(drive))
     return path
 
 
@@ -40,77 +42,80 @@ def records(out: Path) -> dict[str, dict]:
 
 
 @pytest.fixture(scope="module")
-def killed(bag: Path, environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, str]:
-    """A sweep that was killed after its first run and started again; what was there in between, and what it said."""
+def killed(
+    bag: Path, environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> Killed:
+    """A sweep killed after its first run and started again: its folder, the time stamps of run.json
+    in between, and its output."""
     out = tmp_path_factory.mktemp("sweeps") / "killed"
-    command = [*FFMAP, "sweep", str(bag), *GRID, "--out", str(out), "--workers", "1"]
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    words = ["sweep", bag, *GRID, "--out", out, "--workers", 1]
+    command = [*FFMAP, *map(str, words)]
+    process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
     end = time.monotonic() + 200
     while len(records(out)) < 2 and process.poll() is None and time.monotonic() < end:
         time.sleep(0.02)
     assert process.poll() is None
-    # Its run goes on to its end; a second one in the same folder would be refused until then.
+    # Its run continues; a second one in the same folder would be refused until it has ended.
     process.send_signal(signal.SIGTERM)
     process.wait()
-    while not all((out / name / "metrics.json").exists() for name in records(out)) and time.monotonic() < end:
+    while not all((out / name / "metrics.json").exists() for name in records(out)):
+        assert time.monotonic() < end
         time.sleep(0.05)
     before = {
         name: (out / name / "run.json").stat().st_mtime_ns
         for name, record in records(out).items()
         if record["outcome"] == "complete"
     }
-    done = ffmap(environment, "sweep", bag, *GRID, "--out", out, "--workers", 1)
+    done = ffmap(environment, *words)
     assert done.returncode == 0, done.stderr
     return out, before, done.stdout
 
 
 def test_a_killed_sweep_repeats_no_finished_run_and_no_odometry(
-    killed: tuple[Path, dict, str], environment: dict[str, str]
+    killed: Killed, environment: dict[str, str]
 ) -> None:
-    out, before, said = killed
+    out, before, printed = killed
     after = records(out)
     assert before
     assert len(after) == 2
     for name, changed_ns in before.items():
         assert (out / name / "run.json").stat().st_mtime_ns == changed_ns
     assert all(record["outcome"] == "complete" for record in after.values())
-    # One of the drive, and one of its first seconds by the horizontal lidar alone, for the extrinsics.
+    # One of the drive, and one of its first seconds for the extrinsics.
     assert len(list(Path(environment["FFMAP_CACHE"]).glob("odometry/*/complete"))) == 2
-    assert f"2 of 2 runs, {len(before)} of them were finished" in said
-    assert "compare:" in said
+    assert f"2 of 2 runs, {len(before)} of them were finished" in printed
+    assert "compare:" in printed
 
 
-def test_the_runs_have_what_a_sweep_writes(killed: tuple[Path, dict, str]) -> None:
-    out = killed[0]
-    for name, record in records(out).items():
-        names = {path.name for path in (out / name).iterdir()}
-        assert {"recording.rrd", "evaluation.rrd", "labels.parquet", "metrics.json", "map.yaml"} <= names
-        assert not {"labelled.bag", "cloud.ply", "spool"} & names
-        assert record["options"]["detail"] == "map"
-
-
-def test_the_table_holds_every_run(killed: tuple[Path, dict, str]) -> None:
+def test_each_run_has_its_files_and_its_row(killed: Killed) -> None:
     out = killed[0]
     with (out / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["labelling.wall_distance_m"] for row in rows} == {"0.01", "0.045"}
     for row in rows:
+        names = {path.name for path in (out / row["run"]).iterdir()}
+        assert {"recording.rrd", "evaluation.rrd", "labels.parquet", "map.yaml"} <= names
+        assert not {"labelled.bag", "cloud.ply", "spool"} & names
+        record = records(out)[row["run"]]
+        assert record["options"]["detail"] == "map"
         metrics = json.loads((out / row["run"] / "metrics.json").read_text())
         assert row["error"] == ""
-        assert float(row["wall_f1"]) == metrics["area"]["wall"]["f1"]
-        assert float(row["doors"]) == records(out)[row["run"]]["counts"]["doors"]
+        assert float(row["wall.f1"]) == metrics["wall.f1"]
+        assert float(row["doors"]) == record["counts"]["doors"]
 
 
 def test_a_cluster_gives_the_same_labels(
-    killed: tuple[Path, dict, str], bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
+    killed: Killed, bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
 ) -> None:
-    done = ffmap(environment, "sweep", bag, *GRID, "--out", tmp_path / "out", "--scheduler", cluster)
+    words = ("sweep", bag, *GRID, "--out", tmp_path / "out", "--scheduler", cluster)
+    done = ffmap(environment, *words)
     assert done.returncode == 0, done.stderr
     ours, theirs = records(killed[0]), records(tmp_path / "out")
     assert sorted(ours) == sorted(theirs)
     for name in ours:
         assert ours[name]["labels_digest"] == theirs[name]["labels_digest"] != ""
-        here, there = (read_labels(out / name / "labels.parquet") for out in (killed[0], tmp_path / "out"))
+        files = [out / name / "labels.parquet" for out in (killed[0], tmp_path / "out")]
+        here, there = map(read_labels, files)
         assert list(here) == list(there)
         assert all(np.array_equal(here[scan], there[scan]) for scan in here)
 
@@ -118,26 +123,24 @@ def test_a_cluster_gives_the_same_labels(
 def test_an_interrupted_sweep_leaves_no_run_on_the_cluster(
     bag: Path, environment: dict[str, str], cluster: str, tmp_path: Path
 ) -> None:
-    command = [*FFMAP_IN_FRONT, "sweep", str(bag), *GRID, "--out", str(tmp_path / "out"), "--scheduler", cluster]
+    out = tmp_path / "out"
+    words = ["sweep", str(bag), *GRID, "--out", str(out), "--scheduler", cluster]
     process = subprocess.Popen(
-        command,
+        [*FFMAP_IN_FRONT, *words],
         env=environment,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
     )
     end = time.monotonic() + 100
-    while not records(tmp_path / "out") and process.poll() is None and time.monotonic() < end:
+    while not records(out) and process.poll() is None and time.monotonic() < end:
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    said = process.communicate(timeout=60)[1]
-    assert process.returncode == 130, said
-    assert "Traceback" not in said
-    assert "the same command goes on" in said
-    assert all(record["outcome"] != "complete" for record in records(tmp_path / "out").values())
-
-
-SEEDS = ["seed=0,1"]
+    errors = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert "the same command continues" in errors
+    assert all(record["outcome"] != "complete" for record in records(out).values())
 
 
 @pytest.mark.parametrize(
@@ -146,14 +149,16 @@ SEEDS = ["seed=0,1"]
         ({"grid": []}, "--grid"),
         ({"grid": ["wall_planes.similarty_m=1"]}, "wall_planes.similarity_m"),
         ({"grid": ["wall_planes.similarity_m=0.05,-1"]}, "similarity_m = -1"),
-        ({"grid": SEEDS, "outputs": ("recording",)}, "add labels"),
-        ({"grid": SEEDS, "random": 2, "optuna": 2}, "--random"),
-        ({"grid": SEEDS, "objective": "wall_f2"}, "wall_f1"),
-        ({"grid": SEEDS, "optuna": 2, "evaluate": False}, "truth"),
-        ({"grid": SEEDS, "out": Path("file") / "out"}, "cannot be written"),
-        ({"grid": SEEDS, "paths": [Path("no.bag")]}, "no.bag"),
-        ({"grid": SEEDS, "scheduler": "tcp://127.0.0.1:9"}, "dask scheduler"),
-        ({"grid": SEEDS, "scheduler": "nonsense"}, "tcp://127.0.0.1:8786"),
+        ({"outputs": ("recording",)}, "add labels"),
+        ({"random": 2, "optuna": 2}, "--random"),
+        ({"objective": "wall_f2"}, "wall.f1"),
+        ({"optuna": 2, "evaluate": False}, "truth"),
+        ({"out": Path("file") / "out"}, "cannot be written"),
+        ({"paths": [Path("no.bag")]}, "no.bag"),
+        ({"scheduler": "tcp://127.0.0.1:9"}, "dask scheduler"),
+        ({"scheduler": "nonsense"}, "tcp://127.0.0.1:8786"),
+        ({"scheduler": "tcp://127.0.0.1:9", "without": "distributed"}, "pip install distributed'"),
+        ({"optuna": 2, "without": "optuna"}, "pip install optuna'"),
     ],
 )
 def test_mistakes_are_one_line_and_nothing_starts(
@@ -161,36 +166,16 @@ def test_mistakes_are_one_line_and_nothing_starts(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("ffmap.app.run.cluster._CONNECT_S", 1.0)
+    if "without" in words:
+        monkeypatch.setitem(sys.modules, words["without"], None)
     Path("file").touch()
-    of_search, of_sweep = ("grid", "random", "optuna", "objective"), ("paths", "out")
+    words = {"grid": SEEDS, "paths": [bag], "out": Path("out"), **words}
+    of_search = ("grid", "random", "optuna", "objective")
     search = Search(**{name: words[name] for name in of_search if name in words})
-    options = {name: words[name] for name in words if name not in (*of_search, *of_sweep)}
-    paths, out = words.get("paths", [bag]), words.get("out", Path("out"))
+    others = (*of_search, "paths", "out", "without")
+    options = {name: value for name, value in words.items() if name not in others}
     with pytest.raises(InputError) as error:
-        sweep(paths, Settings(), RunOptions(quiet=True, **options), search, out)
+        sweep(words["paths"], Settings(), RunOptions(quiet=True, **options), search, words["out"])
     assert expected in str(error.value)
     assert "\n" not in str(error.value)
     assert not list(tmp_path.glob("**/run.json"))
-
-
-def test_the_command_line_says_which_outputs_there_are(bag: Path, environment: dict[str, str], tmp_path: Path) -> None:
-    for command in (("sweep", bag, "--grid", "doors.lines_min=2,3"), ("run", bag)):
-        done = ffmap_here(environment, *command, "--outputs", "recording,rooms", "--out", tmp_path / "out")
-        assert done.returncode == 2
-        assert len(done.stderr.strip().splitlines()) == 1
-        assert "'rooms'" in done.stderr
-        assert "geojson" in done.stderr
-
-
-def test_without_dask_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    options = RunOptions(scheduler="tcp://127.0.0.1:9", quiet=True)
-    with pytest.raises(InputError, match=r"-m pip install distributed' .*'\.\[cluster\]'"):
-        sweep([bag], Settings(), options, Search(SEEDS), tmp_path / "out")
-
-
-def test_without_optuna_it_says_how_to_install_it(bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "optuna", None)
-    options, search = RunOptions(quiet=True), Search(SEEDS, optuna=2)
-    with pytest.raises(InputError, match=r"-m pip install optuna' .*'\.\[optuna\]'"):
-        sweep([bag], Settings(), options, search, tmp_path / "out")
