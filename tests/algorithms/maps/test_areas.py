@@ -48,7 +48,9 @@ def test_what_geos_makes_invalid_is_made_valid() -> None:
 @given(st.lists(st.tuples(*[st.floats(0.0, 2.0)] * 4), min_size=1, max_size=8))
 # Between the second wall and the third is an acute notch, at whose end lies a part of the first.
 @example([(0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.09375, 2.0, 1.0)])
-def test_closed_areas_are_valid_and_hold_what_they_are_made_of(walls: list[tuple[float, float, float, float]]) -> None:
+def test_closed_areas_are_valid_and_hold_what_they_are_made_of(
+    walls: list[tuple[float, float, float, float]],
+) -> None:
     quads = [quad([[a, b], [c, d]], 0.1) for a, b, c, d in walls if np.hypot(a - c, b - d) > 0.1]
     area = shapely.union_all(quads)
     whole = closed(area, 0.02)

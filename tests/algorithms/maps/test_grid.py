@@ -48,7 +48,9 @@ def across_the_door(rooms: TwoRooms, beyond_m: float = 0.05) -> FloatArray:
     return np.column_stack([np.full(len(y), np.mean(JAMBS_X)), y])
 
 
-def with_walls(rooms: TwoRooms, walls: Walls, windows: Windows | None = None) -> tuple[Immobile, Drive]:
+def with_walls(
+    rooms: TwoRooms, walls: Walls, windows: Windows | None = None
+) -> tuple[Immobile, Drive]:
     """The rooms, of which other faces were detected."""
     immobile, drive = rooms.build(windows=windows)
     cells = trace_rays(both_sides(walls), [rooms.scans()], BuildingSettings())

@@ -48,7 +48,13 @@ def save(path: Path, pixels: np.ndarray) -> Path:
 def save_map(folder: Path, pixels: np.ndarray, **description: object) -> Path:
     save(folder / "map.pgm", pixels)
     path = folder / "map.yaml"
-    values = {"image": "map.pgm", "resolution": 0.05, "origin": [-3.0, 2.0, 0.0], "negate": 0, **description}
+    values = {
+        "image": "map.pgm",
+        "resolution": 0.05,
+        "origin": [-3.0, 2.0, 0.0],
+        "negate": 0,
+        **description,
+    }
     path.write_text(yaml.safe_dump({"occupied_thresh": 0.65, "free_thresh": 0.25, **values}))
     return path
 
@@ -99,7 +105,12 @@ def test_rooms_of_another_map_of_the_same_name_are_left_alone(ffmap, tmp_path: P
         save_map(tmp_path / name, two_rooms())
     assert ffmap("rooms", tmp_path / "a" / "map.yaml")[0] == 0
     before = (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns
-    assert_one_line(ffmap("rooms", tmp_path / "b" / "map.yaml"), "rooms/map", str(tmp_path / "a" / "map.yaml"), "--out")
+    assert_one_line(
+        ffmap("rooms", tmp_path / "b" / "map.yaml"),
+        "rooms/map",
+        str(tmp_path / "a" / "map.yaml"),
+        "--out",
+    )
     assert (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns == before
     assert ffmap("rooms", tmp_path / "a" / "map.yaml")[0] == 0
     assert ffmap("rooms", tmp_path / "b" / "map.yaml", "--out", tmp_path / "rooms" / "map")[0] == 0
@@ -161,7 +172,9 @@ def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_pa
     whole[20:120, 100:102] = 255
     save(tmp_path / "b.png", whole)
     save(tmp_path / "b_gt_segmentation.png", parted)
-    code, out, _ = ffmap("rooms", "a.png", "--resolution", 0.05, "--truth", "a_gt_segmentation.png", "--out", "one")
+    code, out, _ = ffmap(
+        "rooms", "a.png", "--resolution", 0.05, "--truth", "a_gt_segmentation.png", "--out", "one"
+    )
     assert code == 0
     assert "2 rooms for 2 true ones" in out
     figures = json.loads((tmp_path / "one" / "metrics.json").read_text())
@@ -176,7 +189,9 @@ def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_pa
     assert "mean of 1 furnitures" in out
 
 
-def test_a_map_that_fails_leaves_the_others_of_its_folder(ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_map_that_fails_leaves_the_others_of_its_folder(
+    ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in "abc":
         save(tmp_path / f"{name}.png", two_rooms(free=255))
         save(tmp_path / f"{name}_gt_segmentation.png", two_rooms(free=255))
@@ -209,21 +224,31 @@ def test_known_doors_part_rooms(ffmap, tmp_path: Path) -> None:
     assert ffmap("rooms", path, "--out", "without")[0] == 0
     assert len(features(tmp_path / "without")) == 1
     sill = [[-3 + 5.05, 2 + 1.2], [-3 + 5.05, 2 + 5.8]]
-    doors = {"features": [{"type": "Feature", "geometry": {"type": "LineString", "coordinates": sill}}]}
+    doors = {
+        "features": [{"type": "Feature", "geometry": {"type": "LineString", "coordinates": sill}}]
+    }
     (tmp_path / "doors.geojson").write_text(json.dumps(doors))
     assert ffmap("rooms", path, "--doors", "doors.geojson", "--out", "with")[0] == 0
     assert [feature["properties"]["doors"] for feature in features(tmp_path / "with")] == [[0], [0]]
 
 
 def test_what_is_no_map_is_told_in_one_line(ffmap, tmp_path: Path) -> None:
-    assert_one_line(ffmap("rooms", "nothing.png", "--resolution", 0.05), "nothing.png", "is not there")
+    assert_one_line(
+        ffmap("rooms", "nothing.png", "--resolution", 0.05), "nothing.png", "is not there"
+    )
     assert_one_line(ffmap("rooms", "nothing.yaml"), "nothing.yaml", "is not there")
     save(tmp_path / "good.png", two_rooms())
     assert_one_line(ffmap("rooms", "good.png"), "--resolution")
     for wrong in ("0", "-1", "nan", "inf"):
         assert_one_line(ffmap("rooms", "good.png", "--resolution", wrong), "--resolution")
-    for name, pixels in (("black", np.zeros((9, 9), np.uint8)), ("unknown", np.full((9, 9), 205, np.uint8))):
-        assert_one_line(ffmap("rooms", save(tmp_path / f"{name}.png", pixels), "--resolution", 0.05), "no free cell")
+    for name, pixels in (
+        ("black", np.zeros((9, 9), np.uint8)),
+        ("unknown", np.full((9, 9), 205, np.uint8)),
+    ):
+        assert_one_line(
+            ffmap("rooms", save(tmp_path / f"{name}.png", pixels), "--resolution", 0.05),
+            "no free cell",
+        )
     one = save(tmp_path / "one.png", np.full((1, 1), 254, np.uint8))
     assert_one_line(ffmap("rooms", one, "--resolution", 0.05), "one.png", "no room")
     (tmp_path / "text.png").write_text("no image")
@@ -234,10 +259,19 @@ def test_what_is_no_map_is_told_in_one_line(ffmap, tmp_path: Path) -> None:
     (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
     assert_one_line(ffmap("rooms", "cut.png", "--resolution", 0.05), "cut.png")
     small = save(tmp_path / "small.png", np.full((9, 9), 255, np.uint8))
-    assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--truth", small), "small.png", "9 × 9")
+    assert_one_line(
+        ffmap("rooms", "good.png", "--resolution", 0.05, "--truth", small), "small.png", "9 × 9"
+    )
     assert_one_line(ffmap("rooms", tmp_path, "--resolution", 0.05), "no map has rooms beside it")
     (tmp_path / "doors.geojson").write_text("[]")
-    assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--doors", "doors.geojson"), "doors.geojson")
+    assert_one_line(
+        ffmap("rooms", "good.png", "--resolution", 0.05, "--doors", "doors.geojson"),
+        "doors.geojson",
+    )
     (tmp_path / "file").write_text("")
-    assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--out", "file"), "file", "--out")
-    assert_one_line(ffmap("rooms", "good.png", "--resolution", 0.05, "--set", "area_graph.nothing=1"), "nothing")
+    assert_one_line(
+        ffmap("rooms", "good.png", "--resolution", 0.05, "--out", "file"), "file", "--out"
+    )
+    assert_one_line(
+        ffmap("rooms", "good.png", "--resolution", 0.05, "--set", "area_graph.nothing=1"), "nothing"
+    )

@@ -22,7 +22,9 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 def door(state: DoorState, x: float, leaves: tuple[Leaf, ...] = ()) -> PlanDoor:
     sill = np.array([[x, 0.0], [x + 0.9, 0.0]])
-    return PlanDoor(shapely.box(x, 0.0, x + 0.9, 0.2), sill, sill + np.array([0.0, 0.04]), state, leaves)
+    return PlanDoor(
+        shapely.box(x, 0.0, x + 0.9, 0.2), sill, sill + np.array([0.0, 0.04]), state, leaves
+    )
 
 
 LEAF = Leaf(np.array([1.0, 0.2]), np.array([1.0, 1.1]), 90.0, 0.9)
@@ -33,9 +35,16 @@ PLAN = FloorPlan(
     ),
     assumed=(shapely.box(-2.0, 0.0, 0.0, 0.15),),
     columns=(shapely.box(5.0, 2.0, 5.4, 2.4),),
-    doors=(door(DoorState.OPEN, 1.0, (LEAF,)), door(DoorState.CLOSED, 2.0), door(DoorState.OPEN, -1.5)),
+    doors=(
+        door(DoorState.OPEN, 1.0, (LEAF,)),
+        door(DoorState.CLOSED, 2.0),
+        door(DoorState.OPEN, -1.5),
+    ),
     windows=(shapely.box(4.0, 0.0, 5.0, 0.2),),
-    rooms=(Room("Room 1", shapely.box(3.2, 0.2, 7.8, 3.8), 16.56, ()), Room("<R&D>", shapely.box(0, 0.2, 3, 4), 11.4, ())),
+    rooms=(
+        Room("Room 1", shapely.box(3.2, 0.2, 7.8, 3.8), 16.56, ()),
+        Room("<R&D>", shapely.box(0, 0.2, 3, 4), 11.4, ()),
+    ),
     direction_deg=0.0,
 )
 EMPTY = FloorPlan((), (), (), (), (), (), 0.0)
@@ -54,11 +63,17 @@ def turned_plan() -> FloorPlan:
             turned(d.sill, TURN_DEG),
             turned(d.closed, TURN_DEG),
             d.state,
-            tuple(Leaf(turned(o.hinge, TURN_DEG), turned(o.tip, TURN_DEG), o.swing_deg, o.share) for o in d.leaves),
+            tuple(
+                Leaf(turned(o.hinge, TURN_DEG), turned(o.tip, TURN_DEG), o.swing_deg, o.share)
+                for o in d.leaves
+            ),
         )
         for d in PLAN.doors
     )
-    parts = [tuple(area(p) for p in own) for own in (PLAN.walls, PLAN.assumed, PLAN.columns, PLAN.windows)]
+    parts = [
+        tuple(area(p) for p in own)
+        for own in (PLAN.walls, PLAN.assumed, PLAN.columns, PLAN.windows)
+    ]
     rooms = tuple(replace(room, polygon=area(room.polygon)) for room in PLAN.rooms)
     return FloorPlan(parts[0], parts[1], parts[2], doors, parts[3], rooms, TURN_DEG)
 
@@ -86,7 +101,9 @@ def texts(path: Path) -> str:
 def test_the_plan_is_to_scale_with_y_up(tmp_path: Path) -> None:
     write_floor_plan(tmp_path / "plan.svg", PLAN, "drive.bag")
     parts = drawn(tmp_path / "plan.svg")
-    wall, column = (next(v for k, v in parts.items() if k.startswith(kind)) for kind in ("wall", "column"))
+    wall, column = (
+        next(v for k, v in parts.items() if k.startswith(kind)) for kind in ("wall", "column")
+    )
     np.testing.assert_allclose(np.ptp(wall, axis=0), [1.0, 0.2], atol=1e-3)
     assert column[:, 1].min() > wall[:, 1].max()
     assert all((corners >= 0).all() for corners in parts.values())
@@ -96,7 +113,13 @@ def test_the_plan_shows_doors_rooms_and_scale(tmp_path: Path) -> None:
     write_floor_plan(tmp_path / "plan.svg", PLAN, "drive.bag")
     parts = drawn(tmp_path / "plan.svg")
     kinds = [name.split("-")[0] for name in parts]
-    assert [kinds.count(kind) for kind in ("swing", "leaf", "closed", "unseen", "room")] == [1, 1, 1, 1, 2]
+    assert [kinds.count(kind) for kind in ("swing", "leaf", "closed", "unseen", "room")] == [
+        1,
+        1,
+        1,
+        1,
+        2,
+    ]
     for words in ("Room 1", "<R&D>", "16.6 m²", "scale 1:100", "drive.bag"):
         assert words in texts(tmp_path / "plan.svg")
     swing = parts[next(name for name in parts if name.startswith("swing"))]
@@ -146,7 +169,9 @@ def test_dxf_keeps_map_coordinates_and_opens_square(tmp_path: Path):
     np.testing.assert_allclose(np.array(view.dxf.center)[:2], [3.0, 2.0], atol=0.01)
     axes = document.ucs.get("WALLS")
     np.testing.assert_allclose(np.array(axes.dxf.xaxis)[:2], turned(np.array([1.0, 0.0]), TURN_DEG))
-    assert [text.dxf.rotation for text in document.modelspace().query("TEXT")] == pytest.approx([TURN_DEG] * 4)
+    assert [text.dxf.rotation for text in document.modelspace().query("TEXT")] == pytest.approx(
+        [TURN_DEG] * 4
+    )
 
 
 def test_dxf_is_clean_and_in_metres(tmp_path: Path):
@@ -156,14 +181,21 @@ def test_dxf_is_clean_and_in_metres(tmp_path: Path):
     assert document.units == ezdxf.units.M
     space = document.modelspace()
     assert {entity.dxf.layer for entity in space} == set(LAYERS)
-    outlines = [shapely.Polygon(p.get_points("xy")) for p in space.query('LWPOLYLINE[layer=="COLUMNS"]')]
+    outlines = [
+        shapely.Polygon(p.get_points("xy")) for p in space.query('LWPOLYLINE[layer=="COLUMNS"]')
+    ]
     assert outlines[0].equals(PLAN.columns[0])
     assert len(space.query('HATCH[layer=="WALLS"]')) == 2
     assert len(space.query('LWPOLYLINE[layer=="WALLS"]')) == 3
     arc = space.query("ARC")[0]
     assert (arc.dxf.center.x, arc.dxf.center.y, arc.dxf.radius) == pytest.approx((1.0, 0.2, 0.9))
     assert (arc.dxf.start_angle % 360, arc.dxf.end_angle % 360) == pytest.approx((0.0, 90.0))
-    assert {text.dxf.text for text in space.query("TEXT")} == {"Room 1", "16.6 m²", "<R&D>", "11.4 m²"}
+    assert {text.dxf.text for text in space.query("TEXT")} == {
+        "Room 1",
+        "16.6 m²",
+        "<R&D>",
+        "11.4 m²",
+    }
 
 
 def test_an_empty_plan_is_still_a_drawing(tmp_path: Path):
