@@ -232,15 +232,12 @@ def coarsened(agreement: UInt8Array, factor: int) -> UInt8Array:
 
 
 def _figures(one: ComparedMap) -> str:
-    return (
-        f"precision {percent(one.precision)} %, recall {percent(one.recall)} %, "
-        f"error {percent(one.error_m)} cm"
+    values = {"precision": one.precision, "recall": one.recall, "error": one.error_m}
+    units = {"precision": "%", "recall": "%", "error": "cm"}
+    return ", ".join(
+        f"{name} –" if np.isnan(value) else f"{name} {100 * value:.2f} {units[name]}"
+        for name, value in values.items()
     )
-
-
-def percent(value: float | None) -> str:
-    """Format a share in percent, or a length in centimetres."""
-    return "–" if value is None or np.isnan(value) else f"{100 * value:.2f}"
 
 
 def write_rooms_picture(path: Path, grid: GridMap, graph: AreaGraph) -> None:
