@@ -3,8 +3,8 @@
 import rerun.blueprint as rrb
 
 from ffmap.algorithms.maps.rivals import Rival
-from ffmap.blueprints.entities import FURNITURE_FREE, GRID, SCAN_TIMELINE
-from ffmap.blueprints.views import ROBOT, following, from_above, layout, space
+from ffmap.blueprints.entities import FURNITURE_FREE, GRID
+from ffmap.blueprints.views import ROBOT, from_above, space
 
 _TITLES = {
     FURNITURE_FREE: "Furniture-free (Fig. 9b): wall black, free white, unseen gray",
@@ -14,11 +14,6 @@ _TITLES = {
     Rival.BOTTOMMOST: "Bottom-most structures (Fig. 6b)",
 }
 _OVERLAY = "Overlay (Fig. 9e): wall in both green, map only red, ground truth only orange"
-
-
-def build(centre_m: tuple[float, float] = (0.0, 0.0), extent_m: float = 20.0) -> rrb.Blueprint:
-    """Return the layout of maps against a reference. centre_m, extent_m: of what is shown."""
-    return layout(tab(centre_m, extent_m, compared=True), following(SCAN_TIMELINE))
 
 
 def tab(centre_m: tuple[float, float], extent_m: float, compared: bool) -> rrb.Container:

@@ -22,7 +22,8 @@ from tests.program import FFMAP_IN_FRONT
 
 def make_run(folder: Path, *files: str, recording_id: str = "") -> Path:
     folder.mkdir()
-    (folder / "run.json").write_text(json.dumps({"recording_id": recording_id or f"id of {folder.name}"}))
+    identity = recording_id or f"id of {folder.name}"
+    (folder / "run.json").write_text(json.dumps({"recording_id": identity}))
     for name in files:
         (folder / name).touch()
     return folder
@@ -61,7 +62,8 @@ def test_several_runs_have_one_layout_that_comes_last(
     def look(files: list[Path]) -> None:
         opened.extend(files)
         readers = [RrdReader(file) for file in files[len(runs) :]]
-        layouts.extend((reader.recordings()[0].recording_id, len(reader.blueprints())) for reader in readers)
+        for reader in readers:
+            layouts.append((reader.recordings()[0].recording_id, len(reader.blueprints())))
 
     monkeypatch.setattr(view_command, "_open", lambda files, _: look(files))
     view(runs)
@@ -88,7 +90,8 @@ def test_without_a_display_one_line_says_how_to_see_it_elsewhere(
         view([run])
     said = str(error.value)
     assert "\n" not in said
-    for words in ("no display found", f"view --web {run}", str(run / "recording.rrd"), f"rerun-sdk=={rr.__version__}"):
+    recording, version = str(run / "recording.rrd"), f"rerun-sdk=={rr.__version__}"
+    for words in ("no display found", f"view --web {run}", recording, version):
         assert words in said
 
 
@@ -107,13 +110,16 @@ def test_a_browser_is_served_on_the_loopback_address_alone(tmp_path: Path) -> No
         assert address.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(address, timeout=30) as page:
             assert b"Rerun" in page.read()
-        with urllib.request.urlopen(address.partition("?")[0] + "re_viewer_bg.wasm", timeout=30) as program:
+        wasm = address.partition("?")[0] + "re_viewer_bg.wasm"
+        with urllib.request.urlopen(wasm, timeout=30) as program:
             assert program.read(4) == b"\0asm"
         servers = psutil.Process(process.pid).children(recursive=True)
-        listening = [c.laddr for s in servers for c in s.net_connections() if c.status == psutil.CONN_LISTEN]
+        connections = [c for server in servers for c in server.net_connections()]
+        listening = [c.laddr for c in connections if c.status == psutil.CONN_LISTEN]
         assert {place.ip for place in listening} == {"127.0.0.1"}
         [source] = parse_qs(urlsplit(address).query)["url"]
-        assert {urlsplit(url).port for url in (address, source)} == {place.port for place in listening}
+        ports = {urlsplit(url).port for url in (address, source)}
+        assert ports == {place.port for place in listening}
     finally:
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=30)

@@ -67,5 +67,6 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "text.rrd"
     for content in (b"", b"this is no recording, though it is long enough for a header"):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"text\.rrd: is not a Rerun recording"), readable(path):
+        refused = pytest.raises(InputError, match=r"text\.rrd: is not a Rerun recording")
+        with refused, readable(path):
             pass
