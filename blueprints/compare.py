@@ -17,6 +17,7 @@ from ffmap.blueprints.views import (
     space,
 )
 
+_BACKDROP_COLOR = (86, 90, 98)
 _LEGEND_SHARE = 0.4
 """Width for the legends of curves, as a share of that of the curves."""
 
@@ -63,7 +64,7 @@ def build(
         eye = aslant(centre_m, extent_m, (-0.3, -0.65, 0.65))
         columns = [rrb.Vertical(*_scan_views(run), _growing_map(run, eye)) for run in runs]
         tabs.append(rrb.Horizontal(*columns, name="Side by side"))
-    tabs.append(rrb.TextDocumentView(origin=entities.RUNS_TEXT, name="Runs, settings, figures"))
+    tabs.append(rrb.TextDocumentView(origin="/changes/runs", name="Runs, settings, figures"))
     active = next((k for k, other in enumerate(others) if other.letter == most_changed), 0)
     time = opening_at(entities.SCAN_TIMELINE, scan)
     return layout(rrb.Tabs(*tabs, active_tab=active), time)
@@ -81,28 +82,25 @@ def _differences(
     when: list[Part] = []
     if "labels" in other.compared:
         name = f"Where labels changed, {first.letter} → {letter}, over the map of {first.letter}"
-        changed = [grid, entities.CHANGED_CUBES.format(letter)]
+        changed = [grid, f"/changes/{letter}/cubes"]
         where.append(space(name, changed, above, origin="/"))
         when.append(_changed_points(first, other, above))
         title = "Changed labels, percent of each scan, in the colours of the points"
-        when.append(_curve(entities.CHANGED_PERCENT, other, title, scans))
+        when.append(_curve("/changes/{}/percent", other, title, scans))
         title = "Changed labels of single scans, percent"
-        when.append(_curve(entities.CHANGED_PERCENT_SCAN, other, title, scans))
+        when.append(_curve("/changes/{}/percent_of_single_scans", other, title, scans))
     if other.compared & {"walls", "doors", "grid", "trajectory"}:
         name = "Walls, doors, cells: lost red, gained green, altered yellow; lines: trajectories"
-        changed = [
-            f"{path.format(letter)}/**"
-            for path in (entities.CHANGED_WALLS, entities.CHANGED_DOORS, entities.CHANGED_CELLS)
-        ]
-        paths = [f"{entities.PATHS}/{own}" for own in (first.letter, letter)]
+        changed = [f"/changes/{letter}/building/**"]
+        paths = [f"/paths/{own}" for own in (first.letter, letter)]
         where.append(space(name, [grid, *changed, *paths], above, origin="/"))
     if "trajectory" in other.compared:
-        when.append(_curve(entities.POSE_DISTANCE, other, "Distance of poses, metres", scans))
+        when.append(_curve("/changes/{}/pose_distance_m", other, "Distance of poses, metres", scans))
     if len(when) > 2:
         when = [*when[:2], rrb.Tabs(*when[2:])]
     columns = [rrb.Vertical(*part) for part in (where, when) if part]
     name = f"What differs: {other.title}"
-    text = rrb.TextDocumentView(origin=entities.CHANGES_TEXT.format(letter), name=name)
+    text = rrb.TextDocumentView(origin=f"/changes/{letter}/text", name=name)
     shares = [3] * len(columns) + [2.4]
     title = f"{letter} against {first.letter}"
     return rrb.Horizontal(*columns, text, column_shares=shares, name=title)
@@ -113,12 +111,12 @@ def _changed_points(
 ) -> rrb.Spatial3DView:
     """The changed points before the scan's others, or before the map without scans."""
     name = f"This scan: its changed points, {first.letter} → {other.letter}"
-    changed = entities.CHANGED_POINTS.format(other.letter)
+    changed = f"/changes/{other.letter}/points"
     backdrop = first if first.scans or not other.scans else other
     if not backdrop.scans:
         return space(name, [f"{entities.GRID}/{first.letter}", changed], above, origin="/")
-    points, origin = backdrop.path(entities.POINTS), backdrop.path(entities.SCAN)
-    faint = rr.Points3D.from_fields(colors=entities.BACKDROP_COLOR, radii=rr.Radius.ui_points(1.0))
+    points, origin = backdrop.path(entities.POINTS), backdrop.path("/scan")
+    faint = rr.Points3D.from_fields(colors=_BACKDROP_COLOR, radii=rr.Radius.ui_points(1.0))
     overrides = {points: faint}
     return space(name, [points, changed], behind_the_robot(), origin=origin, overrides=overrides)
 
@@ -143,21 +141,21 @@ def _growing_map(run: ComparedRun, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
     shown = (
         entities.MAP_POINTS,
         entities.TRAJECTORY,
-        f"{entities.BASE}/**",
-        entities.WALLS,
-        entities.DOORS,
-        entities.WINDOWS,
+        "/world/base/**",
+        "/world/building/walls",
+        "/world/building/doors",
+        "/world/building/windows",
     )
-    paths, origin = [run.path(path) for path in shown], run.path(entities.WORLD)
+    paths, origin = [run.path(path) for path in shown], run.path("/world")
     return space(f"{run.title}: growing map", paths, eye, origin=origin)
 
 
 def _scan_views(run: ComparedRun) -> list[rrb.View]:
     if not run.scans:
         return []
-    openings, origin = run.path(entities.OPENINGS), run.path(entities.SCAN)
+    openings, origin = run.path(entities.OPENINGS), run.path("/scan")
     labelled = [run.path(entities.POINTS), openings]
-    reasons = [entities.UPMOST, entities.PLANES, f"{entities.SCAN_DOORS}/**"]
+    reasons = ["/scan/candidates/upmost", entities.PLANES, "/scan/doors/**"]
     without_names = {openings: rr.LineStrips3D.from_fields(show_labels=False)}
     title = f"{run.letter}: wall candidates, planes, doors (hover for the reason)"
     return [

@@ -28,30 +28,39 @@ _LIFT_M = 0.05
 """Height (m) of what changed above the map, which would hide it."""
 _WHITE = (255, 255, 255)
 _COLORS = {
-    "lost": entities.LOST_COLOR,
-    "gained": entities.GAINED_COLOR,
+    "lost": (240, 70, 70),
+    "gained": (60, 220, 120),
     "altered": entities.KEYPOINT_COLOR,
 }
+_RUN_COLORS: tuple[entities.Color, ...] = (
+    *((0, 214, 255), (255, 170, 0), (190, 120, 255), (60, 220, 120), (255, 120, 190)),
+)
+_TRANSITION_COLORS: tuple[entities.Color, ...] = (
+    *((255, 80, 80), (70, 160, 255), (255, 200, 40), (190, 110, 255)),
+    *((60, 220, 120), (255, 130, 30), (50, 225, 225), (255, 120, 190)),
+)
+"""The most frequent changes from one label to another take these in turn."""
+_OTHER_TRANSITION_COLOR: entities.Color = (170, 170, 170)
 _MAP = (
     "/",
-    entities.WORLD,
+    "/world",
     entities.TRAJECTORY,
-    f"{entities.BASE}/**",
+    "/world/base/**",
     "/world/map/**",
-    f"{entities.BUILDING}/**",
-    f"{entities.LABEL_COUNTS}/**",
-    f"{entities.COUNTS}/**",
-    f"{entities.MILLISECONDS}/**",
-    entities.MESSAGES,
+    "/world/building/**",
+    "/metrics/labels/**",
+    "/metrics/counts/**",
+    "/metrics/milliseconds/**",
+    "/messages",
 )
 _SCANS = (
-    entities.SCAN,
+    "/scan",
     entities.POINTS,
     entities.PLANES,
-    entities.UPMOST,
-    f"{entities.SCAN_DOORS}/**",
-    entities.FLOOR,
-    entities.CEILING,
+    "/scan/candidates/upmost",
+    "/scan/doors/**",
+    "/scan/floor",
+    "/scan/ceiling",
 )
 
 
@@ -78,15 +87,15 @@ def log_changed_points(
 ) -> None:
     """Log the points (c, 3) of a scan whose labels differ, with their classes (c,) in both runs."""
     points = rr.Points3D(points_map, class_ids=CLASSES * before + after)
-    path = entities.CHANGED_POINTS.format(letter)
+    path = f"/changes/{letter}/points"
     log.now(path, points, evidence(before=before, after=after))
 
 
 def log_common(log: Log, text: str, colors: Mapping[int, entities.Color]) -> None:
     """Log the description of all runs, and the colours of transitions."""
     log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    log.text(entities.RUNS_TEXT, text)
-    rest = entities.OTHER_TRANSITION_COLOR
+    log.text("/changes/runs", text)
+    rest = _OTHER_TRANSITION_COLOR
     classes = {code: (name_transition(code), colors.get(code, rest)) for code in range(TRANSITIONS)}
     log.static("/changes", annotations(classes))
 
@@ -94,8 +103,8 @@ def log_common(log: Log, text: str, colors: Mapping[int, entities.Color]) -> Non
 def transition_colors(changes: Sequence[Changes]) -> dict[int, entities.Color]:
     """Return the colours of the most frequent transitions, alike in all comparisons."""
     counts = [change.labels.counts.sum(axis=0) for change in changes if change.labels is not None]
-    frequent = most_frequent(counts, len(entities.TRANSITION_COLORS))
-    return dict(zip(frequent, entities.TRANSITION_COLORS, strict=False))
+    frequent = most_frequent(counts, len(_TRANSITION_COLORS))
+    return dict(zip(frequent, _TRANSITION_COLORS, strict=False))
 
 
 def log_run(
@@ -103,9 +112,9 @@ def log_run(
 ) -> None:
     """Log a run's trajectory (n, 3) and map for the views from above."""
     if path_m is not None:
-        color = entities.RUN_COLORS[number % len(entities.RUN_COLORS)]
+        color = _RUN_COLORS[number % len(_RUN_COLORS)]
         drawn = strips([path_m.astype(np.float32)], color, 1.5, letter)
-        log.static(f"{entities.PATHS}/{letter}", drawn)
+        log.static(f"/paths/{letter}", drawn)
     if grid is not None:
         log_grid(log, letter, grid)
 
@@ -122,7 +131,7 @@ def log_change(
 
     scan_of: number of the scan at each time stamp. colors: see `transition_colors`.
     """
-    log.text(entities.CHANGES_TEXT.format(letter), text)
+    log.text(f"/changes/{letter}/text", text)
     if change.labels is not None:
         _log_labels(log, letter, change.labels, colors)
     if change.poses is not None:
@@ -131,17 +140,17 @@ def log_change(
         color = _COLORS[name]
         if (walls := places.get("walls")) is not None and len(walls):
             drawn = strips(at_height(walls, _LIFT_M), color, 5.0)
-            log.static(f"{entities.CHANGED_WALLS.format(letter)}/{name}", drawn)
+            log.static(f"/changes/{letter}/building/walls/{name}", drawn)
         if (cells := places.get("cells")) is not None and len(cells):
             centres = at_height(cells, 0.5 * _LIFT_M)
             drawn_cells = rr.Points3D(centres, colors=color, radii=ui_radius(2.0))
-            log.static(f"{entities.CHANGED_CELLS.format(letter)}/{name}", drawn_cells)
+            log.static(f"/changes/{letter}/building/cells/{name}", drawn_cells)
     for name, doors in change.doors.items():
         if doors:
             features, words = zip(*doors, strict=True)
             sills = at_height(segments(features), _LIFT_M)
             drawn = strips(sills, _COLORS[name], 7.0, list(words))
-            log.static(f"{entities.CHANGED_DOORS.format(letter)}/{name}", drawn)
+            log.static(f"/changes/{letter}/building/doors/{name}", drawn)
 
 
 def _log_labels(
@@ -149,20 +158,20 @@ def _log_labels(
 ) -> None:
     """Changed points over the map, and percentages of changed labels over the scans."""
     radius = ui_radius(2.5)
-    log.static(entities.CHANGED_POINTS.format(letter), rr.Points3D.from_fields(radii=radius))
+    log.static(f"/changes/{letter}/points", rr.Points3D.from_fields(radii=radius))
     places, codes = labels.voxels.mean_position.astype(np.float32), labels.voxels.label
     drawn = rr.Points3D(places, class_ids=codes, radii=radius)
-    log.static(entities.CHANGED_CUBES.format(letter), drawn)
+    log.static(f"/changes/{letter}/cubes", drawn)
     indexes = times(labels.stamp_ns, labels.scan)
     percent = 100.0 / np.maximum(labels.points, 1)
     counts = labels.counts.reshape(len(labels.scan), -1)
-    path = entities.CHANGED_PERCENT.format(letter)
+    path = f"/changes/{letter}/percent"
     curves = [
         (f"{path}/{rank}", counts[:, code], name_transition(code), color)
         for rank, (code, color) in enumerate(colors.items())
     ]
     curves.append((f"{path}/all", labels.changed, "all", _WHITE))
-    path = entities.CHANGED_PERCENT_SCAN.format(letter)
+    path = f"/changes/{letter}/percent_of_single_scans"
     curves.append((f"{path}/all", labels.changed_scan, "label_scan", _WHITE))
     for path, values, name, color in curves:
         log.curve_style(path, name, color)
@@ -181,10 +190,10 @@ def _log_poses(
     if not known.any():
         return
     indexes = times(stamp_ns[known], [scan_of[stamp] for stamp in stamp_ns[known].tolist()])
-    path = entities.POSE_DISTANCE.format(letter)
+    path = f"/changes/{letter}/pose_distance_m"
     for name, values, color in (
         ("in the map", distance_m, _WHITE),
-        ("aligned", aligned_m, entities.RUN_COLORS[0]),
+        ("aligned", aligned_m, _RUN_COLORS[0]),
     ):
         curve = f"{path}/{name.replace(' ', '_')}"
         log.curve_style(curve, name, color)

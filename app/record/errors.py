@@ -34,6 +34,13 @@ VERDICT_COLORS = np.array(
 _MISSED_COLOR = entities.VERDICTS[Verdict.MISSED_WALL][1]
 _WRONG_COLOR = entities.VERDICTS[Verdict.FALSE_WALL][1]
 _NOT_PASSED_COLOR = entities.VERDICTS[Verdict.RIGHT][1]
+LEGEND = (
+    ("true wall or door", entities.TRUTH_COLOR),
+    *(entities.VERDICTS[v] for v in (Verdict.FALSE_WALL, Verdict.MISSED_WALL)),
+    *(entities.VERDICTS[v] for v in (Verdict.FALSE_DOOR, Verdict.MISSED_DOOR)),
+    ("other wrong label", entities.VERDICTS[Verdict.OTHER][1]),
+    ("right point, door not passed", entities.VERDICTS[Verdict.RIGHT][1]),
+)
 _ERRORS = [verdict for verdict in Verdict if verdict != Verdict.RIGHT]
 _LIFT_M = 0.03
 """Height (m) of outlines above the grid, which would hide them."""
@@ -73,13 +80,13 @@ def write_layer(
     """
     with open_log(out, recording_id, layout=blueprint) as log:
         send_properties(log.stream, "metrics", properties)
-        log.text(entities.FIGURES, text)
-        log_legend(log, entities.ERROR_LEGEND, entities.ERROR_LEGEND_ENTRIES)
+        log.text("/evaluation/figures", text)
+        log_legend(log, "/legend/errors", LEGEND)
         for verdict in _ERRORS:
             name, color = entities.VERDICTS[verdict]
             log.curve_style(entities.scan_error(verdict), f"{name}, %", color)
         walls = strips(at_height(faces, _LIFT_M), entities.TRUTH_COLOR, 1.0)
-        log.static(entities.TRUTH_WALLS, walls)
+        log.static("/world/truth/walls", walls)
         _log_doors(log, true_doors, found_doors)
         _log_voxels(log, voxels)
         _log_overlays(log, maps)
@@ -108,11 +115,11 @@ def _log_doors(
         invented = np.setdiff1d(np.arange(len(found)), comparison.match)
         sills = at_height(found.ends[invented], 2 * _LIFT_M)
         words = ["invented door"] * len(sills)
-        log.static(entities.INVENTED_DOORS, strips(sills, _WRONG_COLOR, 4.0, words))
+        log.static("/world/errors/invented_doors", strips(sills, _WRONG_COLOR, 4.0, words))
     frames = upright_frames(doors.ends, np.full(len(doors), _LIFT_M), doors.head_m)
-    log.static(entities.TRUTH_DOORS, strips(frames, colors, 2.0, labels, show_labels=False))
+    log.static("/world/truth/doors", strips(frames, colors, 2.0, labels, show_labels=False))
     sills = at_height(doors.ends, 2 * _LIFT_M)
-    log.static(entities.TRUTH_DOOR_SILLS, strips(sills, colors, 3.0, labels, show_labels=False))
+    log.static("/world/truth/door_sills", strips(sills, colors, 3.0, labels, show_labels=False))
 
 
 def _log_voxels(log: Log, voxels: VoxelVotes) -> None:
@@ -123,7 +130,7 @@ def _log_voxels(log: Log, voxels: VoxelVotes) -> None:
         in_space = voxels.mean_position[verdict == kind].astype(np.float32)
         flat = np.unique(np.round(in_space[:, :2] / VOXEL_M), axis=0) * VOXEL_M
         plan = at_height(flat, _LIFT_M)
-        for path, points in ((entities.ERRORS, in_space), (entities.PLAN_ERRORS, plan)):
+        for path, points in (("/world/errors/space", in_space), ("/world/errors/plan", plan)):
             drawn = rr.Points3D(points, colors=color, radii=ui_radius(1.5))
             log.static(f"{path}/{name.replace(' ', '_')}", drawn)
 
@@ -135,4 +142,4 @@ def _log_overlays(log: Log, maps: ComparedMaps) -> None:
             title, color = entities.AGREEMENTS[agreement]
             points = at_height(places, 2 * _LIFT_M)
             drawn = rr.Points3D(points, colors=color, radii=0.9 * compared.grid.cell_m)
-            log.static(f"{entities.OVERLAYS}/{name}/{title.replace(' ', '_')}", drawn)
+            log.static(f"/world/overlay/{name}/{title.replace(' ', '_')}", drawn)

@@ -115,7 +115,7 @@ def recorded(out: Path, entity: str) -> dict[int, dict[str, Any]]:
 def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str, Path]) -> None:
     a, b = labels_of(runs["usual"]), labels_of(runs["other"])
     (found,) = report(compared)["comparisons"]
-    changed_points = recorded(compared, entities.CHANGED_POINTS.format("B"))
+    changed_points = recorded(compared, f"/changes/{'B'}/points")
     placed = read_run_labels(open_run(runs["usual"]), with_points=True)
     places = {cloud.scan: cloud.points_map for cloud in placed}
     confusion = np.zeros((CLASSES, CLASSES), int)
@@ -155,7 +155,7 @@ def test_what_differs_is_printed_and_in_the_recording(
         chunk.to_record_batch().column("TextDocument:text")[0].as_py()[0]
         for chunk in RrdReader(compared / "comparison.rrd")
         .stream()
-        .filter(content=[entities.CHANGES_TEXT.format("B")])
+        .filter(content=[f"/changes/{'B'}/text"])
     )
     worst = max(change["scans"], key=lambda scan: scan["changed"])["scan"]
     for shown in (text, (compared / "stdout.txt").read_text()):
@@ -202,7 +202,7 @@ def test_a_run_that_was_killed_is_told_from_one_that_is_running(
 def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path]) -> None:
     """But for tenths of a degree by which the recording's scans are turned to the floor."""
     recording = runs["usual"] / "recording.rrd"
-    poses = {row.scan: row.values for row in rows(recording, entities.SCAN, "translation")}
+    poses = {row.scan: row.values for row in rows(recording, "/scan", "translation")}
     seen = {}
     for row in rows(recording, entities.POINTS, entities.POINT_LABEL_SCAN):
         pose = poses[row.scan]
@@ -232,8 +232,8 @@ def test_the_recording_holds_both_runs_below_their_letters(
             for column in ("label_scan", "positions"):
                 np.testing.assert_array_equal(row.values[column], below[scan].values[column])
     entity_paths = {chunk.entity_path for chunk in RrdReader(path).stream()}
-    assert not [p for p in entity_paths if p.startswith(entities.SCAN)]
-    assert entities.CHANGED_CUBES.format("B") in entity_paths
+    assert not [p for p in entity_paths if p.startswith("/scan")]
+    assert f"/changes/{'B'}/cubes" in entity_paths
 
 
 def test_a_run_against_its_copy_differs_nowhere(
@@ -277,11 +277,11 @@ def test_poses_that_differ_are_measured_and_labels_compared_all_the_same(
     expected = {"mean_m": distance.mean(), "max_m": distance.max()}
     assert measured == pytest.approx(expected, abs=1e-6)
     assert change["changes"]["trajectory.aligned_max_m"] < 1e-6 < 0.1 < measured["mean_m"]
-    drawn = recorded(tmp_path / "out", f"{entities.POSE_DISTANCE.format('B')}/in_the_map")
+    drawn = recorded(tmp_path / "out", f"/changes/{'B'}/pose_distance_m/in_the_map")
     curve = [drawn[scan]["scalars"][0] for scan in range(SCANS)]
     np.testing.assert_allclose(curve, distance, atol=2e-6)
     # Changed points lie in the first run's map, over which they are shown.
-    points = entities.CHANGED_POINTS.format("B")
+    points = f"/changes/{'B'}/points"
     mine, usual = recorded(tmp_path / "out", points), recorded(compared, points)
     for scan in range(SCANS):
         np.testing.assert_array_equal(mine[scan]["positions"], usual[scan]["positions"])
@@ -482,7 +482,7 @@ def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
 
 def test_reasons_are_recorded_beside_candidates_and_door_lines(runs: dict[str, Path]) -> None:
     path = runs["usual"] / "recording.rrd"
-    reasons = {row.scan: row.values for row in rows(path, entities.UPMOST, "growth")}
+    reasons = {row.scan: row.values for row in rows(path, "/scan/candidates/upmost", "growth")}
     outcomes = {row.scan: row.values for row in rows(path, "/scan/lines", "outcome")}
     assert len(reasons) == SCANS
     for scan, values in reasons.items():

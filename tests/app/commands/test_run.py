@@ -31,6 +31,7 @@ from ffmap.app.commands import run as run_command
 from ffmap.app.folder import names as run_folder
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.names import rooms_file
+from ffmap.app.record.errors import LEGEND
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
 from ffmap.blueprints import entities
@@ -293,12 +294,12 @@ def test_errors_are_a_layer_of_the_recording(finished: Path) -> None:
     assert false_walls == metrics["points.wall.wrong"] > 0
     assert metrics["points_in_cloud.max"] >= max(map(len, verdicts.values()))
     static = {path: rows for path, rows in chunks if "scan" not in rows.schema.names}
-    entries = static[f"{entities.ERROR_LEGEND}/names"].column("Points2D:labels").to_pylist()[0]
-    assert entries == [name for name, _ in entities.ERROR_LEGEND_ENTRIES]
+    entries = static["/legend/errors/names"].column("Points2D:labels").to_pylist()[0]
+    assert entries == [name for name, _ in LEGEND]
     # From above, a door's upright frame would be a slab.
-    sills = static[entities.TRUTH_DOOR_SILLS].column("LineStrips3D:strips").to_pylist()[0]
+    sills = static["/world/truth/door_sills"].column("LineStrips3D:strips").to_pylist()[0]
     assert {len({round(float(point[2]), 3) for point in sill}) for sill in sills} == {1}
-    assert len(sills) == len(static[entities.TRUTH_DOORS].column("LineStrips3D:strips").to_pylist()[0])
+    assert len(sills) == len(static["/world/truth/doors"].column("LineStrips3D:strips").to_pylist()[0])
     # Of what is logged once in both files, the viewer takes either: nothing but the layouts may be in both.
     recorded = {c.entity_path for c in RrdReader(finished / "recording.rrd").stream() if c.is_static}
     assert not {path for path in static if not path.startswith("/__properties")} & recorded

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from ffmap.app.run.scans import SCANS_PER_BLOCK
-from ffmap.blueprints import entities
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.app.record.recordings import rows
 from tests.program import ffmap_here, kill_once, with_cache
@@ -36,7 +35,7 @@ def results(out: Path) -> tuple[str, bytes, bytes, dict[int, float]]:
     """The labels' digest, the map, the trajectory, and the returns on walls in each recorded scan."""
     record = json.loads((out / "run.json").read_text())
     assert record["outcome"] == "complete"
-    walls = rows(out / "recording.rrd", f"{entities.LABEL_COUNTS}/wall")
+    walls = rows(out / "recording.rrd", "/metrics/labels/wall")
     recorded = {row["scan"]: row["scalars"][0] for row in walls}
     assert len(recorded) == record["counts"]["scans"] > SCANS_PER_BLOCK
     assert sum(recorded.values()) == record["counts"]["returns"]["wall"]
