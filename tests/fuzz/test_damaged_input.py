@@ -97,7 +97,9 @@ numbers = st.one_of(
     st.sampled_from((0, 1, 2, 3, 384, 2**16, 2**31 - 1, 2**32 - 1)), st.integers(0, 2**32 - 1)
 )
 field = st.tuples(
-    st.sampled_from([*["x", "y", "z", "ring", "time", "t", "timestamp", "intensity", "é", "label"], ""]),
+    st.sampled_from(
+        [*["x", "y", "z", "ring", "time", "t", "timestamp", "intensity", "é", "label"], ""]
+    ),
     st.one_of(st.integers(0, 30), numbers),
     st.one_of(st.integers(1, 8), st.integers(0, 255)),
     st.one_of(st.just(1), numbers),

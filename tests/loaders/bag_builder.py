@@ -15,7 +15,14 @@ START_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 100_000_000
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
-VELODYNE = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("intensity", "f4"), ("ring", "u2"), ("time", "f4")]
+VELODYNE = [
+    ("x", "f4"),
+    ("y", "f4"),
+    ("z", "f4"),
+    ("intensity", "f4"),
+    ("ring", "u2"),
+    ("time", "f4"),
+]
 
 Entry = tuple[str, int, Any]  # Topic, log time, message
 
@@ -28,7 +35,9 @@ def header(types: dict[str, Any], stamp_ns: int, frame: str) -> Any:
     return make(stamp=stamp, frame_id=frame)
 
 
-def point_dtype(fields: Sequence[tuple[str, str]], big: bool = False, gap: int = 0) -> np.dtype[np.void]:
+def point_dtype(
+    fields: Sequence[tuple[str, str]], big: bool = False, gap: int = 0
+) -> np.dtype[np.void]:
     """Fields one after the other with `gap` bytes before each and at the end."""
     offsets, at = [], 0
     for _, kind in fields:
@@ -46,7 +55,11 @@ def point_dtype(fields: Sequence[tuple[str, str]], big: bool = False, gap: int =
 
 
 def cloud(
-    points: np.ndarray, stamp_ns: int = START_NS, frame: str = "lidar", ros_version: int = 1, row_padding: int = 0
+    points: np.ndarray,
+    stamp_ns: int = START_NS,
+    frame: str = "lidar",
+    ros_version: int = 1,
+    row_padding: int = 0,
 ) -> Any:
     """A PointCloud2 of a structured array, (n,) or (height, width)."""
     types = make_typestore(ros_version).types
@@ -54,9 +67,13 @@ def cloud(
     height, width = grid.shape
     step = grid.dtype.itemsize
     data = np.zeros((height, width * step + row_padding), np.uint8)
-    data[:, : width * step] = np.ascontiguousarray(grid).view(np.uint8).reshape(height, width * step)
+    data[:, : width * step] = (
+        np.ascontiguousarray(grid).view(np.uint8).reshape(height, width * step)
+    )
     fields = [
-        types["sensor_msgs/msg/PointField"](name=name, offset=offset, datatype=_CODES[dtype.str[1:]], count=1)
+        types["sensor_msgs/msg/PointField"](
+            name=name, offset=offset, datatype=_CODES[dtype.str[1:]], count=1
+        )
         for name, (dtype, offset, *_) in grid.dtype.fields.items()
     ]
     return types[CLOUD](
@@ -73,7 +90,10 @@ def cloud(
 
 
 def sweep(
-    columns: int = 90, elevations_deg: Sequence[float] = tuple(range(-15, 17, 2)), seed: int = 0, clockwise: bool = True
+    columns: int = 90,
+    elevations_deg: Sequence[float] = tuple(range(-15, 17, 2)),
+    seed: int = 0,
+    clockwise: bool = True,
 ) -> np.ndarray:
     """One revolution in the Velodyne driver's layout, in firing order: (columns x rings,)."""
     rng = np.random.default_rng(seed)
@@ -100,21 +120,33 @@ def only(points: np.ndarray, *names: str) -> np.ndarray:
 
 
 def clouds(
-    topic: str, count: int, frame: str = "lidar", ros_version: int = 1, late_ns: int = 0, **sweep_options: Any
+    topic: str,
+    count: int,
+    frame: str = "lidar",
+    ros_version: int = 1,
+    late_ns: int = 0,
+    **sweep_options: Any,
 ) -> list[Entry]:
     """Sweeps at 10 Hz, logged 100 ms after their stamps."""
     return [
         (
             topic,
             START_NS + (i + 1) * PERIOD_NS + late_ns,
-            cloud(sweep(seed=i, **sweep_options), START_NS + i * PERIOD_NS + late_ns, frame, ros_version),
+            cloud(
+                sweep(seed=i, **sweep_options),
+                START_NS + i * PERIOD_NS + late_ns,
+                frame,
+                ros_version,
+            ),
         )
         for i in range(count)
     ]
 
 
 def tf_message(
-    edges: Iterable[tuple[str, str, Sequence[float], Sequence[float]]], ros_version: int = 1, stamp_ns: int = START_NS
+    edges: Iterable[tuple[str, str, Sequence[float], Sequence[float]]],
+    ros_version: int = 1,
+    stamp_ns: int = START_NS,
 ) -> Any:
     """A TFMessage of (parent, child, translation, quaternion x y z w)."""
     types = make_typestore(ros_version).types
@@ -132,7 +164,9 @@ def tf_message(
     return types["tf2_msgs/msg/TFMessage"](transforms=stamped)
 
 
-def odometry(stamp_ns: int, position: Sequence[float], child: str = "base", ros_version: int = 1) -> Any:
+def odometry(
+    stamp_ns: int, position: Sequence[float], child: str = "base", ros_version: int = 1
+) -> Any:
     types = make_typestore(ros_version).types
     zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
     covariance = np.zeros(36)
@@ -144,12 +178,16 @@ def odometry(stamp_ns: int, position: Sequence[float], child: str = "base", ros_
         header=header(types, stamp_ns, "map"),
         child_frame_id=child,
         pose=types["geometry_msgs/msg/PoseWithCovariance"](pose, covariance),
-        twist=types["geometry_msgs/msg/TwistWithCovariance"](types["geometry_msgs/msg/Twist"](zero, zero), covariance),
+        twist=types["geometry_msgs/msg/TwistWithCovariance"](
+            types["geometry_msgs/msg/Twist"](zero, zero), covariance
+        ),
     )
 
 
-def write_bag(path: Path, entries: Sequence[Entry], chunk_bytes: int | None = None, compression: str = "") -> Path:
-    """Write a bag: ROS 1 where `path` ends in .bag, else a ROS 2 folder, of MCAP where its name ends in "mcap"."""
+def write_bag(
+    path: Path, entries: Sequence[Entry], chunk_bytes: int | None = None, compression: str = ""
+) -> Path:
+    """Write a bag: ROS 1 for a .bag, else a ROS 2 folder, MCAP for a name that ends in "mcap"."""
     if path.suffix == ".bag":
         writer: Any = Ros1Writer(path)
         store = make_typestore(1)

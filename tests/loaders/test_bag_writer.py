@@ -1,4 +1,4 @@
-"""What any bag that is written has in common; the drives and labelled bags have tests of their own."""
+"""Bags are complete or absent."""
 
 from pathlib import Path
 
@@ -9,7 +9,9 @@ from ffmap.loaders.bag import Container
 from ffmap.loaders.bag_writer import BagWriter
 
 
-@pytest.mark.parametrize(("name", "container"), [("a.bag", "ros1"), ("a", "mcap"), ("b", "sqlite3")])
+@pytest.mark.parametrize(
+    ("name", "container"), [("a.bag", "ros1"), ("a", "mcap"), ("b", "sqlite3")]
+)
 def test_a_topic_without_messages(tmp_path: Path, name: str, container: Container) -> None:
     with BagWriter(tmp_path / name, container) as writer:
         writer.add_topic("/words", "std_msgs/msg/String", latched=True)
@@ -19,7 +21,9 @@ def test_a_topic_without_messages(tmp_path: Path, name: str, container: Containe
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-@pytest.mark.parametrize(("name", "container"), [("a.bag", "ros1"), ("a", "mcap"), ("b", "sqlite3")])
+@pytest.mark.parametrize(
+    ("name", "container"), [("a.bag", "ros1"), ("a", "mcap"), ("b", "sqlite3")]
+)
 def test_nothing_is_left_of_what_fails(tmp_path: Path, name: str, container: Container) -> None:
     with pytest.raises(KeyError), BagWriter(tmp_path / name, container) as writer:
         writer.write("/words", writer.new("std_msgs/msg/Nothing", "one"), 1)

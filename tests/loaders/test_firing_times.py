@@ -14,9 +14,25 @@ LAYOUTS = {
     "velodyne, up to the end": ("time", "f4", TRUE_NS * 1e-9 - 0.1, "s", "stamp", -100_000_000, 10),
     "ouster": ("t", "u4", TRUE_NS, "ns", "stamp", 0, 0),
     "hesai, robosense": ("timestamp", "f8", START_NS / 1e9 + TRUE_NS * 1e-9, "s", "epoch", 0, 500),
-    "stamp at the end": ("timestamp", "f8", START_NS / 1e9 - 0.1 + TRUE_NS * 1e-9, "s", "epoch", -100_000_000, 500),
+    "stamp at the end": (
+        "timestamp",
+        "f8",
+        START_NS / 1e9 - 0.1 + TRUE_NS * 1e-9,
+        "s",
+        "epoch",
+        -100_000_000,
+        500,
+    ),
     "livox": ("offset_time", "u4", TRUE_NS, "ns", "stamp", 0, 0),
-    "absolute nanoseconds": ("timestamp", "f8", START_NS + TRUE_NS.astype(np.float64), "ns", "epoch", 0, 600),
+    "absolute nanoseconds": (
+        "timestamp",
+        "f8",
+        START_NS + TRUE_NS.astype(np.float64),
+        "ns",
+        "epoch",
+        0,
+        600,
+    ),
     "microseconds": ("t", "u4", TRUE_NS // 1000, "us", "stamp", 0, 1000),
     "milliseconds": ("time", "f4", TRUE_NS * 1e-6, "ms", "stamp", 0, 10),
     "sensor's own clock": ("timestamp", "f8", 5000.0 + TRUE_NS * 1e-9, "s", "own clock", 0, 10),
@@ -40,7 +56,10 @@ def test_times_of_every_driver(name, big):
     scan = decode(message, decoding)
     first = TRUE_NS[scan.cloud_index].min()
     assert np.abs(scan.time_ns - (TRUE_NS[scan.cloud_index] - first)).max() <= within_ns
-    assert abs(scan.start_ns - (START_NS + start_ns + (first if reference != "own clock" else 0))) <= within_ns
+    assert (
+        abs(scan.start_ns - (START_NS + start_ns + (first if reference != "own clock" else 0)))
+        <= within_ns
+    )
     assert scan.time_ns.min() == 0
 
 
@@ -48,7 +67,10 @@ def test_a_field_that_is_not_filled_is_no_time():
     assert find_time_field("time", [(np.zeros(100, np.float32), START_NS)] * 3) is None
     assert find_time_field("time", [(np.full(100, np.nan, np.float32), START_NS)]) is None
     assert find_time_field("time", []) is None
-    mixed = [(np.array([0, np.nan], np.float32), START_NS), (np.linspace(0, 0.1, 9, dtype=np.float32), START_NS)]
+    mixed = [
+        (np.array([0, np.nan], np.float32), START_NS),
+        (np.linspace(0, 0.1, 9, dtype=np.float32), START_NS),
+    ]
     assert find_time_field("time", mixed).unit == "s"
 
 

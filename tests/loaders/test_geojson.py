@@ -1,4 +1,4 @@
-"""The truth's building, feature by feature: what is needed of a kind is there, or one line says what is not."""
+"""Features of a ground truth are checked, each by its kind."""
 
 from typing import Any
 
@@ -20,7 +20,10 @@ def test_what_a_building_has() -> None:
     for geometry, properties in (
         (SILL, {"kind": "wall", "height": 2.5}),
         (OUTLINE, {"kind": "wall"}),
-        (SILL, {"kind": "door", "state": "open", "leaves": [[[0, 0], [0, 1]]], "wall_thickness": 0.1}),
+        (
+            SILL,
+            {"kind": "door", "state": "open", "leaves": [[[0, 0], [0, 1]]], "wall_thickness": 0.1},
+        ),
         (OUTLINE, {"kind": "room", "name": "office"}),
         (SILL, {"kind": "something else", "colour": "red"}),
     ):
@@ -41,5 +44,8 @@ def test_what_a_building_has() -> None:
     ],
 )
 def test_what_a_building_lacks(geometry: Any, properties: dict[str, Any], words: str) -> None:
-    with pytest.raises(InputError, match=rf"truth: is no GeoJSON of building: feature 0: .*{words}.*; make it again"):
+    with pytest.raises(
+        InputError,
+        match=rf"truth: is no GeoJSON of building: feature 0: .*{words}.*; make it again",
+    ):
         check(geometry, **properties)

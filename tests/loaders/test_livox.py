@@ -53,11 +53,21 @@ def message(i: int, driver: str, ros_version: int, frame: str) -> Any:
 # Frames of several lengths: what follows is aligned in ROS 2.
 @pytest.mark.parametrize("frame", ["livox_frame", "lidar", ""])
 @pytest.mark.parametrize(
-    ("name", "driver"), [("a.bag", "livox_ros_driver"), ("a_mcap", "livox_ros_driver2"), ("a_db3", "livox_ros_driver2")]
+    ("name", "driver"),
+    [
+        ("a.bag", "livox_ros_driver"),
+        ("a_mcap", "livox_ros_driver2"),
+        ("a_db3", "livox_ros_driver2"),
+    ],
 )
-def test_points_times_and_lines_are_recovered(tmp_path: Path, name: str, driver: str, frame: str) -> None:
+def test_points_times_and_lines_are_recovered(
+    tmp_path: Path, name: str, driver: str, frame: str
+) -> None:
     version = 1 if name.endswith(".bag") else 2
-    entries = [("/livox/lidar", START_NS + (i + 1) * PERIOD_NS, message(i, driver, version, frame)) for i in range(3)]
+    entries = [
+        ("/livox/lidar", START_NS + (i + 1) * PERIOD_NS, message(i, driver, version, frame))
+        for i in range(3)
+    ]
     with open_bag(write_bag(tmp_path / name, entries)) as bag:
         rig = find_rig(bag, verticals=["/livox/lidar"])
         lidar = rig.vertical
@@ -77,22 +87,40 @@ def test_points_times_and_lines_are_recovered(tmp_path: Path, name: str, driver:
         np.testing.assert_array_equal(scan.time_ns, known["offset_time"])
         np.testing.assert_array_equal(scan.ring, known["line"])
         assert scan.start_ns == scan.stamp_ns == START_NS + i * PERIOD_NS
-        assert [f.name for f in made.fields] == ["offset_time", "x", "y", "z", "reflectivity", "tag", "line"]
+        assert [f.name for f in made.fields] == [
+            "offset_time",
+            "x",
+            "y",
+            "z",
+            "reflectivity",
+            "tag",
+            "line",
+        ]
 
 
 def test_a_message_that_holds_fewer_points_than_it_says_is_skipped(tmp_path: Path) -> None:
     store = make_typestore(1)
-    entries = [("/livox/lidar", START_NS + i * PERIOD_NS, message(i, "livox_ros_driver", 1, "livox")) for i in range(3)]
+    entries = [
+        ("/livox/lidar", START_NS + i * PERIOD_NS, message(i, "livox_ros_driver", 1, "livox"))
+        for i in range(3)
+    ]
     path = write_bag(tmp_path / "a.bag", entries)
     whole = bytes(store.serialize_ros1(entries[1][2], "livox_ros_driver/msg/CustomMsg"))
     # The number of points lies behind header, time base, number and identity.
     count_at = 16 + len("livox") + 16
     raw = path.read_bytes()
     assert raw.count(whole) == 1
-    path.write_bytes(raw.replace(whole, whole[:count_at] + (POINTS + 5).to_bytes(4, "little") + whole[count_at + 4 :]))
+    path.write_bytes(
+        raw.replace(
+            whole, whole[:count_at] + (POINTS + 5).to_bytes(4, "little") + whole[count_at + 4 :]
+        )
+    )
     with open_bag(path) as bag:
         decoding = find_rig(bag).horizontal.decoding  # type: ignore[union-attr]
-        read = [scan for _, scan in read_scans(bag, index_clouds(bag, "/livox/lidar"), 0, None, decoding)]
+        read = [
+            scan
+            for _, scan in read_scans(bag, index_clouds(bag, "/livox/lidar"), 0, None, decoding)
+        ]
     assert [isinstance(scan, SkippedScan) for scan in read] == [False, True, False]
     assert "contains fewer" in read[1].reason  # type: ignore[union-attr]
 
@@ -104,7 +132,9 @@ def test_a_message_is_made_as_the_driver_makes_it(version: int, frame: str, coun
     store = make_typestore(version)
     made = livox_message(version == 1, START_NS, frame, points(0)[:count])
     known = message(0, "livox_ros_driver2", version, frame)
-    read = (store.deserialize_ros1 if version == 1 else store.deserialize_cdr)(made.data, made.__msgtype__)
+    read = (store.deserialize_ros1 if version == 1 else store.deserialize_cdr)(
+        made.data, made.__msgtype__
+    )
     assert read.header == known.header
     assert (read.timebase, read.point_num, len(read.points)) == (START_NS, count, count)
     assert read.points == known.points[:count]

@@ -1,4 +1,4 @@
-"""The robot's own body is found in a bag, named, and left out of every scan that is read from it."""
+"""The robot's own body is found in a bag and removed from its scans."""
 
 from pathlib import Path
 
@@ -12,17 +12,24 @@ from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.scans import read_scans
-from tests.algorithms.base.test_own_body import ACROSS, ROOM, T_BASE_SENSOR, clouds
+from tests.algorithms.base.test_own_body import ACROSS, T_BASE_SENSOR, clouds
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, point_dtype, tf_message, write_bag
 
 
 def test_scans_lack_the_robots_own_body(tmp_path: Path) -> None:
-    points, own = clouds(ROOM, ACROSS, "plate")
-    edge = ("base", "lidar", T_BASE_SENSOR[:3, 3], Rotation.from_matrix(T_BASE_SENSOR[:3, :3]).as_quat())
+    points, own = clouds(False, ACROSS, "plate")
+    edge = (
+        "base",
+        "lidar",
+        T_BASE_SENSOR[:3, 3],
+        Rotation.from_matrix(T_BASE_SENSOR[:3, :3]).as_quat(),
+    )
     entries = [("/tf_static", START_NS, tf_message([edge]))]
     for i, xyz in enumerate(points):
         # Ring by ring, from the lowest.
-        organised = np.zeros((16, len(xyz) // 16), point_dtype([("x", "f4"), ("y", "f4"), ("z", "f4")]))
+        organised = np.zeros(
+            (16, len(xyz) // 16), point_dtype([("x", "f4"), ("y", "f4"), ("z", "f4")])
+        )
         for axis, values in zip("xyz", xyz.T, strict=True):
             organised[axis] = values.reshape(organised.shape)
         stamp_ns = START_NS + i * PERIOD_NS

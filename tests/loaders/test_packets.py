@@ -23,14 +23,20 @@ def bag_of(path: Path, msgtype: str, with_clouds: bool = False, topic: str = "/p
         packets = writer.add_connection(topic, msgtype, typestore=store)
         points = writer.add_connection("/points", CLOUD, typestore=store) if with_clouds else None
         for i in range(3):
-            writer.write(packets, START_NS + i * PERIOD_NS, bytes(store.serialize_ros1(packet, msgtype)))
+            writer.write(
+                packets, START_NS + i * PERIOD_NS, bytes(store.serialize_ros1(packet, msgtype))
+            )
             if points:
                 made = cloud(sweep(seed=i), START_NS + i * PERIOD_NS)
-                writer.write(points, START_NS + i * PERIOD_NS, bytes(store.serialize_ros1(made, CLOUD)))
+                writer.write(
+                    points, START_NS + i * PERIOD_NS, bytes(store.serialize_ros1(made, CLOUD))
+                )
     return path
 
 
-@pytest.mark.parametrize("msgtype", ["hesai_ros_driver/msg/UdpFrame", "rslidar_msg/msg/RslidarPacket"])
+@pytest.mark.parametrize(
+    "msgtype", ["hesai_ros_driver/msg/UdpFrame", "rslidar_msg/msg/RslidarPacket"]
+)
 def test_a_bag_of_nothing_else_is_refused_in_a_line(tmp_path: Path, msgtype: str) -> None:
     path = bag_of(tmp_path / "a.bag", msgtype)
     told = ffmap_here(dict(os.environ), "run", path, "--out", tmp_path / "run")

@@ -14,7 +14,9 @@ from ffmap.loaders.scans import read_scans
 from ffmap.loaders.trajectory_file import read_tum
 
 FOLDER = os.environ.get("FFMAP_REAL_DATA")
-pytestmark = pytest.mark.skipif(not FOLDER, reason="FFMAP_REAL_DATA names no folder with real recordings")
+pytestmark = pytest.mark.skipif(
+    not FOLDER, reason="FFMAP_REAL_DATA names no folder with real recordings"
+)
 
 
 def real(name: str) -> Path:
@@ -34,13 +36,18 @@ def scans_of(path: Path):
 def test_a_hesai_without_rings_has_32():
     rig, scans = scans_of(real("hilti_14.bag"))
     assert (rig.horizontal.decoding.rings.source, rig.horizontal.ring_count) == ("elevation", 32)
-    np.testing.assert_allclose(rig.horizontal.decoding.rings.elevation_deg, np.arange(-16, 16), atol=0.3)
+    np.testing.assert_allclose(
+        rig.horizontal.decoding.rings.elevation_deg, np.arange(-16, 16), atol=0.3
+    )
     assert rig.vertical is None
     assert len(scans) == 30
     for scan in scans:
         x, y, z = scan.points_sensor.T.astype(np.float64)
         distance = np.sqrt(x * x + y * y + z * z)
-        off = np.degrees(np.arctan2(z, np.hypot(x, y))) - rig.horizontal.decoding.rings.elevation_deg[scan.ring]
+        off = (
+            np.degrees(np.arctan2(z, np.hypot(x, y)))
+            - rig.horizontal.decoding.rings.elevation_deg[scan.ring]
+        )
         assert np.mean(np.abs(off[distance > 1]) < 0.25) > 0.99
     assert len(read_tum(real("hilti_14.tum"))) == 30
 
@@ -67,7 +74,18 @@ def test_packets_become_the_clouds_that_another_decoder_made():
     content = real("vlp16_packets_decoded.pcd").read_bytes()
     kind = np.dtype(
         {
-            "names": ["x", "y", "z", "intensity", "return_type", "channel", "azimuth", "elevation", "distance", "time"],
+            "names": [
+                "x",
+                "y",
+                "z",
+                "intensity",
+                "return_type",
+                "channel",
+                "azimuth",
+                "elevation",
+                "distance",
+                "time",
+            ],
             "formats": ["<f4", "<f4", "<f4", "u1", "u1", "<u2", "<f4", "<f4", "<f4", "<u4"],
         }
     )

@@ -1,4 +1,4 @@
-"""What users give as a text file and is none, or never ends: one line that names it."""
+"""Text files that cannot be read are refused with one line that names them."""
 
 import os
 import socket
@@ -40,30 +40,21 @@ def refused(read: Callable[[Path], Any], path: Path) -> str:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_pipe_is_not_waited_for(name: str, tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / name)
-    assert f"{name}: is a pipe" in refused(READERS[name], tmp_path / name)
-
-
-@pytest.mark.parametrize("name", READERS)
-def test_a_device_is_not_read(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).symlink_to("/dev/zero")
-    assert f"{name}: is a device" in refused(READERS[name], tmp_path / name)
-
-
-@pytest.mark.parametrize("name", [name for name in READERS if not name.startswith(("drive", "metadata"))])
-def test_a_folder_and_a_link_to_itself_are_told(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).mkdir()
-    assert f"{name}: is a folder" in refused(READERS[name], tmp_path / name)
-    (tmp_path / name).rmdir()
-    (tmp_path / name).symlink_to(name)
-    assert "symbolic links" in refused(READERS[name], tmp_path / name)
-
-
-def test_a_socket_is_told(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as made:
-        made.bind(str(tmp_path / "s"))
-        assert "a socket" in refused(lambda path: read_text(path, "give a file"), tmp_path / "s")
+def test_pipes_devices_folders_and_loops_are_not_opened(name: str, tmp_path: Path) -> None:
+    path, read = tmp_path / name, READERS[name]
+    os.mkfifo(path)
+    assert f"{name}: is a pipe" in refused(read, path)
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    assert f"{name}: is a device" in refused(read, path)
+    path.unlink()
+    if name.startswith(("drive", "metadata")):
+        return
+    path.symlink_to(name)
+    assert "symbolic links" in refused(read, path)
+    path.unlink()
+    path.mkdir()
+    assert f"{name}: is a folder" in refused(read, path)
 
 
 @pytest.mark.parametrize(
@@ -77,19 +68,23 @@ def test_a_socket_is_told(tmp_path: Path) -> None:
         (read_yaml, "day: 2024-99-99"),
         (read_json, "[" * 1_000_000),
         (read_json, "9" * 100_000),
+        (read_text, None),
     ],
-    ids=["deep", "long number", "long name", "deep", "long number", "no day", "deep", "long number"],
+    ids=range(9),
 )
-def test_what_parsers_stumble_over_is_told(read: Callable[[Path, str], Any], text: str, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text(text)
-    assert "give another" in refused(lambda path: read(path, "give another"), tmp_path / "file")
-
-
-def test_what_is_too_large_is_not_read(tmp_path: Path) -> None:
-    with (tmp_path / "large").open("wb") as file:
+def test_invalid_content(
+    read: Callable[[Path, str], Any], text: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(bytes(range(256)) if text is None else text.encode())
+    assert "give another" in refused(lambda path: read(path, "give another"), path)
+    with path.open("wb") as file:
         file.truncate(1 << 40)
-    for read in (read_text, read_toml, read_yaml, read_json):
-        assert "bytes" in refused(lambda path, read=read: read(path, "give another"), tmp_path / "large")
+    assert "bytes" in refused(lambda path: read(path, "give another"), path)
+    path.unlink()
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(str(path))
+        assert "a socket" in refused(lambda path: read(path, "give another"), path)
 
 
 @pytest.mark.parametrize(
@@ -102,20 +97,15 @@ def test_what_is_too_large_is_not_read(tmp_path: Path) -> None:
         "wall_planes.similarity_m=1e300",
         "wall_planes.similarity_m=" + "[" * 100_000,
         "grid_map.cell_m=1e-300",
-        "pose_graph.every_scans=-2000000000",
+        "odometry.threads=2000000000",
     ],
     ids=lambda word: word[:30],
 )
-def test_a_setting_of_any_size_is_told(word: str) -> None:
+def test_a_setting_out_of_range(word: str) -> None:
     assert word.partition("=")[0] in refused(lambda _: load_settings(None, [word]), Path())
 
 
-@pytest.mark.parametrize("value", ["1e300", "1e-300", "1e999", "9" * 100_000], ids=lambda value: value[:30])
-def test_a_resolution_of_any_size_is_told(value: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("value", ["1e300", "1e-300", "1e999", "9" * 100_000], ids=range(4))
+def test_a_resolution_out_of_range(value: str, tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(f"image: map.png\nresolution: {value}\n")
     assert "map.yaml" in refused(read_map, tmp_path / "map.yaml")
-
-
-def test_what_is_no_text_is_told(tmp_path: Path) -> None:
-    (tmp_path / "file").write_bytes(bytes(range(256)))
-    assert "is no text" in refused(lambda path: read_text(path, "give another"), tmp_path / "file")

@@ -32,7 +32,9 @@ def test_round_trip_keeps_every_nanosecond(tmp_path):
 
 
 def test_comments_exponents_and_few_decimals(tmp_path):
-    (tmp_path / "a.tum").write_text("# stamp x\n\n1.5e0 1 2 3 0 0 0 1\n\t2.000000001 1 2 3 0 0 0 -1 # end\n")
+    (tmp_path / "a.tum").write_text(
+        "# stamp x\n\n1.5e0 1 2 3 0 0 0 1\n\t2.000000001 1 2 3 0 0 0 -1 # end\n"
+    )
     assert read_tum(tmp_path / "a.tum").stamp_ns.tolist() == [1_500_000_000, 2_000_000_001]
 
 
@@ -49,7 +51,10 @@ def test_stamps_in_any_unit(tmp_path, unit_ns):
     ("text", "words"),
     [
         ("", "no poses"),
-        ("1 0 0 0 0 0 0 1\n1700000000000000000 0 0 0 0 0 0 1\n", "line 2: not all values are numbers"),
+        (
+            "1 0 0 0 0 0 0 1\n1700000000000000000 0 0 0 0 0 0 1\n",
+            "line 2: not all values are numbers",
+        ),
         ("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 1\n", "line 2: 7 values"),
         ("1 0 0 a 0 0 0 1\n", "line 1: not all values are numbers"),
         ("x 0 0 0 0 0 0 1\n", "line 1: not all values are numbers"),
@@ -79,11 +84,15 @@ def test_poses_of_an_odometry_topic(tmp_path):
         trajectory = read_pose_topic(bag, "odom", "base")
         assert (trajectory.stamp_ns - START_NS).tolist() == [0, 10, 20, 30]
         assert trajectory.T_map_base[:, 0, 3].tolist() == [0, 1, 3, 5]
-        with pytest.raises(InputError, match="gives poses of frame base, and no transform joins it with other"):
+        with pytest.raises(
+            InputError, match="gives poses of frame base, and no transform joins it with other"
+        ):
             read_pose_topic(bag, "/odom", "other")
         T = np.eye(4)
         T[1, 3] = 2.0
-        moved = read_pose_topic(bag, "/odom", "other", FrameTree([StaticTransform("base", "other", T)]))
+        moved = read_pose_topic(
+            bag, "/odom", "other", FrameTree([StaticTransform("base", "other", T)])
+        )
         assert moved.T_map_base[0, :3, 3].tolist() == [0, 2, 0]
 
 

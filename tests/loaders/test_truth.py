@@ -8,7 +8,15 @@ import pytest
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.truth import read_truth
-from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, clouds, odometry, point_dtype, write_bag
+from tests.loaders.bag_builder import (
+    PERIOD_NS,
+    START_NS,
+    cloud,
+    clouds,
+    odometry,
+    point_dtype,
+    write_bag,
+)
 
 
 def classes(i):
@@ -47,7 +55,9 @@ def test_truth(tmp_path):
 def test_no_truth_and_truth_in_part(tmp_path):
     with open_bag(write_bag(tmp_path / "a.bag", clouds("/a", 2))) as bag:
         assert read_truth(bag) is None
-    with open_bag(write_bag(tmp_path / "b.bag", [("/truth/pose", START_NS, odometry(START_NS, [0, 0, 0]))])) as bag:
+    with open_bag(
+        write_bag(tmp_path / "b.bag", [("/truth/pose", START_NS, odometry(START_NS, [0, 0, 0]))])
+    ) as bag:
         truth = read_truth(bag)
         assert len(truth.trajectory) == 1
         assert (truth.classes, truth.building) == ((), None)
@@ -55,7 +65,10 @@ def test_no_truth_and_truth_in_part(tmp_path):
 
 @pytest.mark.parametrize("building", ["{", "[]", '{"type": "Point"}'])
 def test_a_damaged_building(tmp_path, building):
-    with open_bag(truth_bag(tmp_path / "a.bag", building)) as bag, pytest.raises(InputError, match="/truth/building"):
+    with (
+        open_bag(truth_bag(tmp_path / "a.bag", building)) as bag,
+        pytest.raises(InputError, match="/truth/building"),
+    ):
         read_truth(bag)
 
 
