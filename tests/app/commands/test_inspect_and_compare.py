@@ -528,7 +528,7 @@ def test_what_cannot_be_inspected_is_one_line(
     for path, scan, line, wanted in (
         (runs["usual"], "-1", None, "has scans 0 to"),
         (runs["usual"], "five", None, "give a scan's number, or worst"),
-        (runs["usual"], "3", 32, "has lines 0 to 31"),
+        (runs["usual"], "3", 32, "have lines 0 to 31"),
         (tmp_path / "none", "3", None, "no such folder"),
         (tmp_path, "3", None, "is no run folder"),
         (moved, "worst", None, "no labels of single scans"),

@@ -20,7 +20,6 @@ from ffmap.app.setup.inputs import Inputs, check_failed, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings
-from ffmap.blueprints import entities
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
@@ -114,7 +113,8 @@ def test_a_scan_that_fails_midway_leaves_nothing_in_its_block(
         np.testing.assert_array_equal(label, whole[scan])
     features = unpack(Features, map_arrays(block.labelled), "feature_")
     assert features.scan.tolist() == [1, 3]
-    assert [row.scan for row in rows(block.evidence, entities.POINTS, "positions")] == [1, 3]
+    # The recording shows nothing of a scan that failed.
+    assert [row.scan for row in rows(block.evidence, "/scan", "is_recursive")] == [0, 2]
     monkeypatch.setattr(scans, "label_scan", failing(scans.label_scan, {1}, MemoryError()))
     with pytest.raises(MemoryError):
         label_block(sound)
