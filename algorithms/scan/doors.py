@@ -157,14 +157,12 @@ def find_door_lines(
     member = (planes.candidate_plane >= 0) & is_upmost
     line, plane = planes.candidate_line[member], planes.candidate_plane[member]
     start, depression, measured = _find_depressions(
-        returns.points_level,
-        returns.height_m,
+        returns,
         lines.order,
         lines.starts,
         line,
         planes.normal[plane],
         planes.offset_m[plane],
-        np.ascontiguousarray(returns.origin_level, np.float64),
         settings.recess_min_m,
         settings.open_depth_m,
         settings.exceptions_max,
@@ -195,14 +193,12 @@ def find_door_lines(
 
 @numba.njit(cache=True, nogil=True)
 def _find_depressions(
-    points: FloatArray,
-    height: FloatArray,
+    returns: Returns,
     order: IntArray,
     starts: IntArray,
     line: IntArray,
     normal: FloatArray,
     offset: FloatArray,
-    origin: FloatArray,
     recess_min_m: float,
     open_depth_m: float,
     exceptions_max: float,
@@ -215,6 +211,7 @@ def _find_depressions(
     Returns the return (D,) at which the depression begins, `Depression` (D,), and what was measured
     (D, 6): recess, above, below, share on the plane, x and y at which the line passes through it.
     """
+    points, height, origin = returns
     start = np.full(len(line), -1, np.int32)
     depression = np.full(len(line), Depression.FEW_RETURNS, np.uint8)
     measured = np.full((len(line), 6), np.nan)

@@ -119,7 +119,8 @@ def label_scan(
     rearrangement = settings.rearrangement
     floor = floor or find_floor(placed.points_level, rearrangement)
     height_m = floor.heights_above(placed.points_level)
-    returns = Returns(placed.points_level, height_m, placed.origin_level)
+    origin_level = np.ascontiguousarray(placed.origin_level, np.float64)
+    returns = Returns(placed.points_level, height_m, origin_level)
     ceilings = find_ceilings(placed.points_level, height_m, floor, rearrangement, seed)
     below_m = below_ceiling(placed.points_level, plane_rows(ceilings))
     is_ceiling = np.abs(below_m) < rearrangement.ceiling_distance_m
@@ -139,8 +140,7 @@ def label_scan(
     door_lines = find_door_lines(returns, lines, planes, structures.upmost, settings.doors)
     openings = find_openings(door_lines, planes, settings.doors)
     plane = _label_walls(
-        placed.points_level,
-        height_m,
+        returns,
         below_m,
         label,
         planes.normal,
@@ -188,8 +188,7 @@ def _completed_ends(planes: WallPlanes) -> FloatArray:
 
 @numba.njit(cache=True, nogil=True)
 def _label_walls(
-    points: FloatArray,
-    height: FloatArray,
+    returns: Returns,
     below: FloatArray,
     label: UInt8Array,
     normal: FloatArray,
@@ -202,6 +201,7 @@ def _label_walls(
     Every return is tested against every plane of the scan, not that of its own line alone. Along an
     edge, the nearer of wall and floor or ceiling decides.
     """
+    points, height, _ = returns
     plane = np.full(len(points), -1, np.int16)
     for i in range(len(points)):
         nearest, best = distance_m, -1

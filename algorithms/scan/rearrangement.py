@@ -1,6 +1,7 @@
 """What floor, ceilings and point lines share (paper, III.A): settings, nearly level planes."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -69,13 +70,12 @@ class HorizontalPlane:
         return np.asarray(self.height_m + points_level[:, :2] @ self.slope)
 
 
-@dataclass(frozen=True)
-class Returns:
+class Returns(NamedTuple):  # which compiled functions take, unlike a dataclass
     """The returns of a scan as the steps after the floor use them.
 
     points_level: (n, 3) metres, level frame: z against gravity, origin on the floor below the base.
     height_m: (n,) above the floor.
-    origin_level: (3,) the sensor.
+    origin_level: (3,) the sensor, in one piece of memory.
     """
 
     points_level: FloatArray

@@ -76,13 +76,7 @@ def find_vertical_structures(
 
     samples: (L, 200) from `make_point_lines`.
     """
-    difference, slope, cut = _differences(
-        returns.points_level,
-        samples,
-        np.ascontiguousarray(returns.origin_level[:2], np.float64),
-        settings.span_m,
-        settings.slope_max,
-    )
+    difference, slope, cut = _differences(returns, samples, settings.span_m, settings.slope_max)
     upright = np.abs(slope) < settings.slope_max
     joined = np.zeros((len(samples), samples.shape[1] + 1), bool)  # with the sample before
     joined[:, 1:-1] = upright[:, 1:] & upright[:, :-1] & ~cut[:, 1:]
@@ -110,9 +104,10 @@ def find_vertical_structures(
 
 @numba.njit(cache=True, nogil=True)
 def _differences(
-    points: FloatArray, samples: IntArray, origin: FloatArray, span_m: float, slope_max: float
+    returns: Returns, samples: IntArray, span_m: float, slope_max: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Eq. 2, the slope over the span, and whether the line jumps before a sample: (L, 200) each."""
+    points, origin = returns.points_level, returns.origin_level
     lines, count = samples.shape
     difference = np.full((lines, count), np.nan, np.float32)
     slope = np.full((lines, count), np.nan, np.float32)

@@ -1,7 +1,7 @@
 """From vertical structures to wall candidates: the structures as high as walls (paper, III.B)."""
 
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -70,8 +70,7 @@ class Reach(IntEnum):
     OVERHUNG = 5  # above it, its line comes nearer, up to a ceiling: a soffit, a vault, a roof
 
 
-@dataclass(frozen=True)
-class WallCandidates:
+class WallCandidates(NamedTuple):  # which compiled functions take, unlike a dataclass
     """The wall candidates (C,) of a scan, in the order of Algorithm 1.
 
     structure: vertical structure of each. line: its point line.
@@ -122,8 +121,7 @@ def choose_candidates(
     )
     lines = structures.line[low]
     end_reach, _ = _reach_of(returns, samples[lines, -1], ceilings, settings)
-    origin = np.ascontiguousarray(returns.origin_level[:2], np.float64)
-    overhung = _overhung(returns.points_level, samples[lines], structures.last[low], origin)
+    overhung = _overhung(returns, samples[lines], structures.last[low])
     overhung &= end_reach != Reach.LOW
     reach[low[~meets_ceiling[lines]]] = Reach.TURNS_BACK
     reach[low[overhung]] = Reach.OVERHUNG
@@ -133,10 +131,9 @@ def choose_candidates(
     walk = np.lexsort((line, line % 2, further))
     chosen, line, further = chosen[walk], line[walk], further[walk]
     last = structures.last[chosen]
-    moments, first = _upper_parts(
-        returns.points_level, returns.height_m, samples[line], structures.first[chosen], last
-    )
+    moments, first = _upper_parts(returns, samples[line], structures.first[chosen], last)
     middle = moments[:, 1:3] / moments[:, :1]
+    range_m = np.hypot(*(middle - returns.origin_level[:2]).T)
     return WallCandidates(
         structure=chosen.astype(np.int32),
         line=line,
@@ -147,7 +144,7 @@ def choose_candidates(
         middle=middle,
         reach=reach[chosen],
         below_ceiling_m=below_ceiling_m[chosen],
-        gap_max_m=settings.gap_m + _GAP_M_PER_M * np.hypot(*(middle - origin).T),
+        gap_max_m=settings.gap_m + _GAP_M_PER_M * range_m,
     )
 
 
@@ -174,9 +171,7 @@ def _reach_of(
 
 
 @numba.njit(cache=True, nogil=True)
-def _overhung(
-    points: FloatArray, samples: IntArray, last: IntArray, origin: FloatArray
-) -> BoolArray:
+def _overhung(returns: Returns, samples: IntArray, last: IntArray) -> BoolArray:
     """Whether a line, above a structure, touches it, is no farther and no lower, and comes nearer.
 
     No ray passes above such a structure, as rays do over furniture and below what hangs before a
@@ -184,6 +179,7 @@ def _overhung(
 
     samples: (s, 200) the lines of some structures. last: (s,) their highest samples.
     """
+    points, origin = returns.points_level, returns.origin_level
     overhung = np.zeros(len(last), np.bool_)
     for s in range(len(last)):
         x, y, z = points[samples[s, last[s]]]
@@ -202,9 +198,10 @@ def _overhung(
 
 @numba.njit(cache=True, nogil=True)
 def _upper_parts(
-    points: FloatArray, height: FloatArray, samples: IntArray, first: IntArray, last: IntArray
+    returns: Returns, samples: IntArray, first: IntArray, last: IntArray
 ) -> tuple[FloatArray, IntArray]:
     """`moments` and `first` of `WallCandidates`, from their lines (C, 200) and whole extents."""
+    points, height = returns.points_level, returns.height_m
     moments = np.zeros((len(samples), 6))
     lowest = first.copy()
     for c in range(len(samples)):

@@ -111,51 +111,36 @@ def grow_wall_planes(
     candidate then moves to the nearest plane.
     """
     candidates = choose_candidates(returns, samples, structures, ceilings, meets_ceiling, settings)
-    moments, reaches = candidates.moments, candidates.reach != Reach.LOW
-    grown, growth, distance_m, gap_m = _grow(
-        moments,
-        candidates.middle,
-        candidates.part,
-        reaches,
-        candidates.gap_max_m,
-        settings.similarity_m,
-    )
-    plane, nearest_m = _settle(grown, candidates, reaches, settings)
-    total, lines, fits = _fit_planes(plane, moments, grown.max(initial=0) + 1, settings.lines_min)
-    normal, offset_m, rms_m, length_m = fits[:, :2], fits[:, 2], fits[:, 3], fits[:, 5] - fits[:, 4]
-    bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, len(fits))
-    top_m = _per_plane(np.maximum, structures.top_m[candidates.structure], plane, len(fits))
+    grown, growth, distance_m, gap_m = _grow(candidates, settings.similarity_m)
+    plane, nearest_m = _settle(grown, candidates, settings)
 
-    fails = [
-        lines < settings.lines_min,
-        length_m < settings.length_min_m,
-        rms_m > settings.similarity_m,
-    ]
+    # Which of the planes are walls.
+    count, lines_min = grown.max(initial=0) + 1, settings.lines_min
+    total, lines, fits = _fit_planes(plane, candidates.moments, count, lines_min)
+    normal, offset_m, rms_m, length_m = fits[:, :2], fits[:, 2], fits[:, 3], fits[:, 5] - fits[:, 4]
+    bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, count)
+    top_m = _per_plane(np.maximum, structures.top_m[candidates.structure], plane, count)
+    too_few, too_short = lines < lines_min, length_m < settings.length_min_m
+    fails = [too_few, too_short, rms_m > settings.similarity_m]
     reasons = [Membership.FEW_LINES, Membership.SHORT, Membership.ROUGH]
     verdict = np.select(fails, reasons, Membership.IN_PLANE)
     for k in np.flatnonzero((verdict == Membership.IN_PLANE) & (bottom_m >= settings.bottom_max_m)):
         own = candidates.structure[plane == k]
         behind = _structures_behind(returns, samples, structures, own, fits[k], settings)
-        lowest = behind if len(behind) >= settings.lines_min else own
+        lowest = behind if len(behind) >= lines_min else own
         if structures.bottom_m[lowest].min() >= settings.bottom_max_m:
             verdict[k] = Membership.DUCT
-    # Plane -1, none, is the last row of the appended arrays.
-    membership = np.where(reaches, np.append(verdict, Membership.ALONE)[plane], Membership.REFUSED)
-    is_wall = verdict == Membership.IN_PLANE
-    plane = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)[plane].astype(np.int32)
 
+    # The walls, numbered without the others; none, -1, is the last row of the appended arrays.
+    is_wall, is_refused = verdict == Membership.IN_PLANE, candidates.reach == Reach.LOW
+    membership = np.append(verdict, Membership.ALONE)[plane]
+    membership = np.where(is_refused, Membership.REFUSED, membership)
+    plane = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)[plane].astype(np.int32)
     before_m = normal @ returns.origin_level[:2] - offset_m
     towards_sensor = np.where(before_m > 0, 1.0, -1.0)[is_wall]
     normal, offset_m = normal[is_wall] * towards_sensor[:, None], offset_m[is_wall] * towards_sensor
     along = np.column_stack([-normal[:, 1], normal[:, 0]])
-    extents = _extents(
-        returns.points_level,
-        samples[candidates.line],
-        candidates.first,
-        candidates.last,
-        plane,
-        normal,
-    )
+    extents = _extents(returns, samples, candidates, plane, normal)
     return WallPlanes(
         normal=normal,
         offset_m=offset_m,
@@ -208,24 +193,17 @@ def _theta(m: FloatArray, nx: float, ny: float, offset: float) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _grow(
-    moments: FloatArray,
-    middle: FloatArray,
-    part: IntArray,
-    reaches: BoolArray,
-    gap_max_m: FloatArray,
-    similarity_m: float,
+    candidates: WallCandidates, similarity_m: float
 ) -> tuple[IntArray, UInt8Array, FloatArray, FloatArray]:
-    """Algorithm 1: the plane (C,) of each candidate, its `Growth`, its Θ and its gap.
-
-    moments, middle, part, gap_max_m: as of `WallCandidates`. reaches: (C,) whether it is high enough.
-    """
+    """Algorithm 1: the plane (C,) of each candidate, its `Growth`, its Θ and its gap."""
+    moments, middle, part = candidates.moments, candidates.middle, candidates.part
     plane = np.full(len(moments), -1, np.int32)
     growth = np.full(len(moments), Growth.REFUSED, np.uint8)
     distance, gap = np.full(len(moments), np.nan), np.full(len(moments), np.nan)
     P = np.zeros(6)  # the current plane's moments
     lines, number, last = 0, -1, -1
     for i in range(len(moments)):
-        if not reaches[i]:
+        if candidates.reach[i] == Reach.LOW:
             continue
         compared = lines > 0 and part[last] == part[i]
         joins = False
@@ -238,7 +216,7 @@ def _grow(
                 distance[i] = _theta(moments[i], nx, ny, offset)
             dx, dy = middle[i] - middle[last]
             gap[i] = np.hypot(dx, dy)
-            joins = distance[i] < similarity_m and gap[i] < gap_max_m[i]
+            joins = distance[i] < similarity_m and gap[i] < candidates.gap_max_m[i]
         if joins:
             growth[i] = Growth.JOINED
             P += moments[i]
@@ -254,7 +232,7 @@ def _grow(
 
 
 def _settle(
-    grown: IntArray, candidates: WallCandidates, reaches: BoolArray, settings: WallPlanesSettings
+    grown: IntArray, candidates: WallCandidates, settings: WallPlanesSettings
 ) -> tuple[IntArray, FloatArray]:
     """Join planes in line, then move each candidate to the nearest plane of enough lines.
 
@@ -263,13 +241,14 @@ def _settle(
     moments, count = candidates.moments, grown.max(initial=0) + 1
     plane, lines_min = grown.copy(), settings.lines_min
     _join_in_line(plane, moments, count, settings.similarity_m, settings.merge_gap_m, lines_min)
+    reaches = candidates.reach[:, None] != Reach.LOW
     x, y = candidates.middle.T[:, :, None]
     # Twice, because the first time moves the planes.
     for _ in range(2):
         _, _, fits = _fit_planes(plane, moments, count, lines_min)
         nx, ny, _, _, low, high = fits.T
         u, gap_m = nx * y - ny * x, candidates.gap_max_m[:, None]
-        beside = reaches[:, None] & (u >= low - gap_m) & (u <= high + gap_m)
+        beside = reaches & (u >= low - gap_m) & (u <= high + gap_m)
         theta = np.where(beside, _thetas(moments, fits), np.inf)
         nearest_m = theta.min(axis=1)
         plane = np.where(nearest_m < settings.similarity_m, theta.argmin(axis=1), -1)
@@ -422,23 +401,20 @@ def _structures_behind(
 
 @numba.njit(cache=True, nogil=True)
 def _extents(
-    points: FloatArray,
+    returns: Returns,
     samples: IntArray,
-    first: IntArray,
-    last: IntArray,
+    candidates: WallCandidates,
     plane: IntArray,
     normal: FloatArray,
 ) -> FloatArray:
-    """(K, 2) the least and the largest place along each plane of its candidates' upper samples.
-
-    samples: (C, 200) the candidates' lines. first, last, plane: (C,) of the candidates.
-    """
-    extents = np.empty((len(normal), 2))
+    """(K, 2) the least and the largest place along each plane of its candidates' upper samples."""
+    points, extents = returns.points_level, np.empty((len(normal), 2))
     extents[:, 0], extents[:, 1] = np.inf, -np.inf
     for c in range(len(plane)):
         k = plane[c]
         if k >= 0:
-            for i in samples[c, first[c] : last[c] + 1]:
+            upper = slice(candidates.first[c], candidates.last[c] + 1)
+            for i in samples[candidates.line[c], upper]:
                 u = normal[k, 0] * points[i, 1] - normal[k, 1] * points[i, 0]
                 extents[k, 0], extents[k, 1] = min(extents[k, 0], u), max(extents[k, 1], u)
     return extents
