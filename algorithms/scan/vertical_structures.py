@@ -124,7 +124,7 @@ def _differences(
                 continue
             d_rho, d_z = rho[j] - rho[j - 1], z[j] - z[j - 1]
             if d_z != 0.0:
-                difference[line, j] = d_rho / d_z
+                difference[line, j] = d_rho / d_z  # eq. 2
             cut[line, j] = abs(d_rho) > max(_JUMP_M, slope_max * abs(d_z))
             if cut[line, j]:
                 _slopes(rho[first:j], z[first:j], span_m, slope[line, first:j])

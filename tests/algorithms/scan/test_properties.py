@@ -149,8 +149,6 @@ class TestHorizontalPlanes:
         assert min(found[0], found[1] + found[2] + found[3]) > 1, found  # none and some
 
 
-
-
 ROOM = synthetic.scan(firings=700)
 
 

@@ -52,8 +52,6 @@ def test_walls_come_out_thin_and_where_they_are(noise_m: float) -> None:
     assert found.smoothed_share > 0.98
 
 
-
-
 @pytest.mark.parametrize("returns", [5, 6, 9, 12])
 def test_facets_and_runs_of_any_number_of_returns_are_smoothed(returns: int) -> None:
     """At 20 m no more than five returns fit on a facet."""
@@ -62,8 +60,6 @@ def test_facets_and_runs_of_any_number_of_returns_are_smoothed(returns: int) -> 
     range_m = room(5.0)
     range_m[:, np.arange(FIRINGS) % (returns + 30) >= returns] = np.inf
     assert smoothed(range_m, 0.015).smoothed_share > 0.9
-
-
 
 
 def test_second_returns_of_a_ray_do_not_hide_the_scatter() -> None:
