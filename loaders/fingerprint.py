@@ -24,7 +24,7 @@ def files_of(bag: BagPath) -> list[Path]:
     files = []
     for part in bag.parts:
         if part.is_dir():
-            files += [file for file in part.iterdir() if _PARTS & {*file.suffixes}]
+            files += [f for f in part.iterdir() if f.is_file() and _PARTS & {*f.suffixes}]
         else:
             wal = part.with_name(f"{part.name}-wal")
             files += [part, wal] if wal.exists() else [part]

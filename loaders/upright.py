@@ -21,7 +21,7 @@ _HALF_TURN = np.diag([1.0, -1.0, -1.0])
 def make_upright(placement: Placement, warnings: list[str], may_change: bool) -> Placement:
     """Choose a base whose z points up; the same placement where the clouds show that it does.
 
-    may_change: whether the base may be another frame; else a warning says what was found.
+    may_change: whether the base may be another frame; else there is only a warning.
     """
     base, lidars = placement.base, placement.candidates
     tree = FrameTree(placement.edges)

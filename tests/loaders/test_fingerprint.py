@@ -17,6 +17,7 @@ def test_depends_on_bytes_not_on_names_or_order(tmp_path: Path) -> None:
     first = _write(tmp_path / "first", {"a.mcap": b"one", "b.mcap": b"two"})
     renamed = _write(tmp_path / "renamed", {"z.mcap": b"one", "y.mcap": b"two", "notes.txt": b"x"})
     files = BagPath((tmp_path / "first" / "b.mcap", tmp_path / "first" / "a.mcap"))
+    (tmp_path / "renamed" / "folder.mcap").mkdir()
     changed = _write(tmp_path / "changed", {"a.mcap": b"one", "b.mcap": b"twO"})
     assert fingerprint(first) == fingerprint(renamed) == fingerprint(files)
     assert fingerprint(changed) != fingerprint(first)
