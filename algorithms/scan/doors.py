@@ -239,7 +239,7 @@ def _find_depressions(
         # A return a quarter of a recess behind the plane is on it.
         on_plane = np.count_nonzero(below > -0.25 * recess_min_m) / len(below)
         measured[d, 1:4] = np.array([above_m, below_m, on_plane])
-        # The wall above may be off its plane by half a recess, and by 1 cm of the plane's own error.
+        # The wall above may be off its plane by half a recess and the plane's own error, 1 cm.
         if abs(above_m) > 0.5 * recess_min_m + 0.01:
             depression[d] = Depression.ABOVE_OFF_PLANE
         elif below_m > -recess_min_m:

@@ -174,7 +174,7 @@ def with_rays(
     labels: list[UInt8Array],
     intensities: list[FloatArray] | None = None,
 ) -> Features:
-    """The same scans with these rays, by scan: ends (r, 3), labels (r,), intensities (r,) or (0,)."""
+    """The same scans with rays by scan: ends (r, 3), labels (r,), intensities (r,) or (0,)."""
     counts = [len(end) for end in ends_map]
     return replace(
         features,
@@ -204,7 +204,7 @@ def _filled(columns: list[FloatArray], counts: list[int]) -> FloatArray:
 
 
 def move_moments(moments: FloatArray, T_target_source: FloatArray) -> FloatArray:
-    """n, Σx, Σy, Σxx, Σxy, Σyy (p, 6) of the same points in another frame that differs by yaw and shift."""
+    """The moments (p, 6) of the same points in another frame, which differs by yaw and shift."""
     R, t = T_target_source[:2, :2], T_target_source[:2, 3]
     n, first = moments[:, 0], moments[:, 1:3]
     second = moments[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
