@@ -19,9 +19,9 @@ from ffmap.app.record.errors import VERDICT_COLORS
 from ffmap.app.record.inspection import ScanFaults
 from ffmap.app.record.line_reasons import name_of
 from ffmap.app.record.read_back import readable, rows
+from ffmap.app.run.blocks import seed_of
 from ffmap.app.run.given_poses import given_poses
 from ffmap.app.run.poses import estimate_poses
-from ffmap.app.run.scans import seed_of
 from ffmap.app.setup.versions import git_revision
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault

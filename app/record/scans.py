@@ -25,7 +25,6 @@ from ffmap.app.record.shapes import (
     strips,
     strips_of,
     transform,
-    transform_columns,
     ui_radius,
     unbroken,
     upright_frames,
@@ -135,14 +134,6 @@ def log_lidar(log: Log, place: int, topic: str) -> None:
     if log.detail is not Detail.MAP:
         text = rr.TextDocument(f"This scan is from {topic}.")
         log.now("/scan/lidar", text, evidence(place=np.array([place])))
-
-
-def log_frames(
-    log: Log, stamp_ns: IntArray, index: IntArray, T_map_level: FloatArray, T_level_base: FloatArray
-) -> None:
-    """Log the final poses of n scans, all (n, 4, 4)."""
-    for path, T in (("/world/base", T_map_level @ T_level_base), ("/scan", T_map_level)):
-        log.stream.send_columns(path, times(stamp_ns, index), transform_columns(T))
 
 
 def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:

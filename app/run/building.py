@@ -60,7 +60,7 @@ def fuse_all_scans(
 class _FeaturesOfScans:
     """The scans that the building is fused from, see `new_views`.
 
-    blocks: features of some scans each, mapped into memory. chosen: (n,) bool by number of the scan.
+    blocks: features of some scans each, mapped into memory. chosen: (n,) bool by scan number.
     """
 
     blocks: tuple[Features, ...]

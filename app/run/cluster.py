@@ -33,8 +33,8 @@ def connect(
 
     needed: files that workers read, under the same path as here. stop: is called on every worker
     where the work ends early.
-    Raises InputError where Dask is not installed, no scheduler answers, a worker cannot do the work,
-    or the cluster loses a part of it.
+    Raises InputError where Dask is not installed, no scheduler answers, a worker cannot do the
+    work, or the cluster loses a part of it.
     """
     try:
         import distributed  # noqa: TID251 - its one place

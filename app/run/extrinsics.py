@@ -27,8 +27,8 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.rig import MountCorrection
 
 _FIRST_S, _LONG_S = 8.0, 60.0
-"""Duration (s) by which extrinsics are checked, and by which they are refined. Only turns separate a
-shift from a clock: after 25 s of a straight way a clock was known to 15 ms, after a turn to 4."""
+"""Duration (s) by which extrinsics are checked, and by which they are refined. Only turns separate
+a shift from a clock: after 25 s of a straight way a clock was known to 15 ms, after a turn to 4."""
 _OFF_DEG, _OFF_M, _OFF_S = 0.3, 0.02, 0.005
 """Minimum error of extrinsics and clock that is corrected."""
 _SIGMAS = 3.0
@@ -36,8 +36,8 @@ _SIGMAS = 3.0
 _BETTER = 1.15
 """Minimum ratio of the distance between surfaces as given to that as refined."""
 _TO_CHECK = 16, 20, 10_000
-"""Number of scans of the horizontal lidar that make patches, of scans of the vertical lidar that are
-compared with them, and of returns."""
+"""Number of scans of the horizontal lidar that make patches, of scans of the vertical lidar that
+are compared with them, and of returns."""
 _TO_REFINE = 80, 80, 40_000
 """The same where extrinsics are refined."""
 _REFINED_DEG, _REFINED_M = 5.0, 0.1
@@ -45,12 +45,12 @@ _REFINED_DEG, _REFINED_M = 5.0, 0.1
 clock may be off by any time."""
 _NOISE_MAX = 1.5
 """Maximum distance between both lidars' surfaces after a refinement, as a multiple of the distance
-between the horizontal lidar's own. Right extrinsics have 1.05 to 1.15, those of other walls 2 to 4."""
+between the horizontal lidar's own. Right extrinsics have 1.05 to 1.15, wrong ones 2 to 4."""
 _SEARCHED = 200
 """Number of scans of each lidar with which unknown extrinsics are searched."""
 _HITS_MIN, _RIVAL_MAX = 0.3, 0.9
-"""Minimum share of returns that meet the other lidar's where extrinsics are found, and maximum ratio
-of the share by any other extrinsics to it."""
+"""Minimum share of returns that meet the other lidar's where extrinsics are found, and maximum
+ratio of the share by any other extrinsics to it."""
 
 
 Drive = Callable[[Sensor], Trajectory]
@@ -61,8 +61,8 @@ class CheckedExtrinsics:
     """What a drive shows of a vertical lidar's extrinsics.
 
     alone: whether no other lidar has extrinsics to be checked. change: (7,) found less given, as
-    `RefinedExtrinsics.change`. clock_given_ns: time that is added to its stamps already. own_rms_m: RMS distance
-    (m) of the horizontal lidar's returns from the surfaces of its other scans.
+    `RefinedExtrinsics.change`. clock_given_ns: time that is added to its stamps already.
+    own_rms_m: RMS distance (m) of the horizontal lidar's returns from surfaces of its other scans.
     """
 
     topic: str
@@ -143,9 +143,9 @@ class CheckedExtrinsics:
             f"the extrinsics of {self.topic} in the bag or rig file are wrong by "
             f"{self.off_deg:.1f} deg and {100 * self.off_m:.1f} cm, or its clock by "
             f"{1e3 * found.clock_s:+.0f} ms, as the whole drive shows. Surfaces that both lidars "
-            f"see are {100 * found.rms_before_m:.1f} cm apart, and {100 * found.rms_after_m:.1f} cm "
-            f"with extrinsics that fit. Run 'ffmap calibrate {bag} --out rig.toml', then 'ffmap "
-            f"run {bag} --rig rig.toml'"
+            f"see are {100 * found.rms_before_m:.1f} cm apart, and "
+            f"{100 * found.rms_after_m:.1f} cm with extrinsics that fit. Run 'ffmap calibrate {bag} "
+            f"--out rig.toml', then 'ffmap run {bag} --rig rig.toml'"
         )
 
 
@@ -165,30 +165,30 @@ def correct_extrinsics(run: Run, report: Report) -> Run:
         )
 
     odometry = drive(horizontal, _FIRST_S)
-    mounts = check_extrinsics(inputs, odometry, run.settings, keep_agreeing=True)
-    if any(mount.is_off for mount in mounts):
+    lidars = check_extrinsics(inputs, odometry, run.settings, keep_agreeing=True)
+    if any(lidar.is_off for lidar in lidars):
         odometry = drive(horizontal)
-        mounts = check_extrinsics(inputs, odometry, run.settings, *_TO_REFINE)
+        lidars = check_extrinsics(inputs, odometry, run.settings, *_TO_REFINE)
     record = dict(run.record)
-    if mounts and mounts[0].alone:
-        record["mount"] = mounts[0].record
-    elif mounts:
-        record["mounts"] = {mount.topic: mount.record for mount in mounts}
-    off = [mount for mount in mounts if mount.is_off]
-    for mount in off:
-        if not mount.is_refined:
-            raise InputError(_refusal(run, mount, odometry, drive))
-        report.warn(mount.warning)
-    corrected = inputs.with_mounts(mount.correction for mount in off) if off else inputs
+    if lidars and lidars[0].alone:
+        record["mount"] = lidars[0].record
+    elif lidars:
+        record["mounts"] = {lidar.topic: lidar.record for lidar in lidars}
+    off = [lidar for lidar in lidars if lidar.is_off]
+    for lidar in off:
+        if not lidar.is_refined:
+            raise InputError(_refusal(run, lidar, odometry, drive))
+        report.warn(lidar.warning)
+    corrected = inputs.with_mounts(lidar.correction for lidar in off) if off else inputs
     return replace(run, inputs=corrected, record=record)
 
 
 def check_whole_drive(run: Run, trajectory: Trajectory, report: Report) -> None:
     """Warn of extrinsics that the whole drive shows to be wrong: a straight start hides a clock."""
     if run.options.mount == "refine":
-        for mount in check_extrinsics(run.inputs, trajectory, run.settings, keep_agreeing=True):
-            if mount.is_off:
-                report.warn(mount.late_warning(run.inputs.bag_path.words))
+        for lidar in check_extrinsics(run.inputs, trajectory, run.settings, keep_agreeing=True):
+            if lidar.is_off:
+                report.warn(lidar.late_warning(run.inputs.bag_path.words))
 
 
 def check_extrinsics(
@@ -224,12 +224,12 @@ def check_extrinsics(
     return checked
 
 
-def _refusal(run: Run, mount: CheckedExtrinsics, odometry: Trajectory, drive: Drive) -> str:
+def _refusal(run: Run, lidar: CheckedExtrinsics, odometry: Trajectory, drive: Drive) -> str:
     """Name the transform that is wrong, about what it should be, and the fix."""
     inputs, bag = run.inputs, run.inputs.bag_path
-    sensor = next(sensor for sensor in inputs.others if sensor.lidar.topic == mount.topic)
-    fits: MountCorrection | str = mount.correction
-    if not mount.agrees:
+    sensor = next(sensor for sensor in inputs.others if sensor.lidar.topic == lidar.topic)
+    fits: MountCorrection | str = lidar.correction
+    if not lidar.agrees:
         seen = map_of(inputs, odometry, run.settings, _SEARCHED)
         fits = extrinsics_by_motion(inputs, sensor, odometry, seen, run.settings, drive)
     child = sensor.lidar.frame_id
@@ -243,9 +243,9 @@ def _refusal(run: Run, mount: CheckedExtrinsics, odometry: Trajectory, drive: Dr
             angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
             turn = ", ".join(f"{round(v)}" for v in angles)
             needed = f"; about x, y, z = {shift} m and roll, pitch, yaw = {turn} deg would fit"
-    apart_cm, noise_cm = 100 * mount.found.rms_before_m, 100 * mount.own_rms_m
+    apart_cm, noise_cm = 100 * lidar.found.rms_before_m, 100 * lidar.own_rms_m
     return (
-        f"{bag}: the transform {parent} -> {child} is wrong: surfaces that {mount.topic} and the "
+        f"{bag}: the transform {parent} -> {child} is wrong: surfaces that {lidar.topic} and the "
         f"horizontal lidar see are {apart_cm:.1f} cm apart (noise: {noise_cm:.1f} cm){needed}. Run "
         f"'ffmap calibrate {bag.words} --from-motion --out rig.toml', then 'ffmap run {bag.words} "
         "--rig rig.toml'; --mount as-given uses it all the same"

@@ -24,8 +24,9 @@ from ffmap.app.folder.names import LABELS
 from ffmap.app.record.log import Log
 from ffmap.app.record.scans import log_final
 from ffmap.app.run.arrays import map_arrays, pack, pack_rows, unpack, unpack_rows, write_arrays
+from ffmap.app.run.blocks import VOXEL_M, Block, LabelledScan
 from ffmap.app.run.report import Report
-from ffmap.app.run.scans import VOXEL_M, Block, LabelledScan, LabelledScans
+from ffmap.app.run.scans import LabelledScans
 from ffmap.app.run.start import Run
 from ffmap.app.setup.inputs import commonest
 from ffmap.app.setup.outputs import Detail, Output
@@ -94,8 +95,7 @@ def _labels(
 ) -> Iterator[ScanLabels]:
     """Yield the labels of each scan, block by block; `votes` takes the final ones."""
     failed: list[SkippedScan] = []
-    done = relabel_block_again if run.resumed else relabel_block
-    for job, failed_here in zip(jobs, executor.map(done, jobs), strict=True):
+    for job, failed_here in zip(jobs, executor.map(relabel_block, jobs), strict=True):
         failed += failed_here
         report.check_failed(failed, len(run.inputs.scans), "final labelling")
         report.add_part(job.evidence)
@@ -113,14 +113,11 @@ def _labels(
         )
 
 
-def relabel_block_again(job: RelabelJob) -> list[SkippedScan]:
-    """Relabel a block unless an earlier start of the run has."""
-    return [] if job.block.relabelled.exists() else relabel_block(job)
-
-
 def relabel_block(job: RelabelJob) -> list[SkippedScan]:
     """Relabel every return of a block; scans whose data raise an exception keep their labels."""
     block = job.block
+    if block.resumed and block.relabelled.exists():
+        return []
     scans = unpack_rows(LabelledScan, map_arrays(block.labelled))
     halo = _halo(job.halo, block.recording_id)
     relabelling = Relabelling.of(job.building, halo, block.settings.relabelling)

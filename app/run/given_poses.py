@@ -1,4 +1,4 @@
-"""Poses from a file or a topic in place of the odometry: of which frame, and where the map begins."""
+"""Poses from a file or a topic in place of the odometry: their frame, and the map's origin."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,8 +24,8 @@ origin: float32 resolves 0.1 mm at a kilometre, but half a metre at UTM northing
 _FLOOR_OFF_M = 0.1
 """Height (m) of the floor beyond which the map gets its own: later stages look for it near 0."""
 _LEAN_MAX_DEG, _LEVEL_DEG = 30.0, 1.0
-"""Angle of the z axis from the vertical: beyond the first, poses of the base are refused; beyond the
-second, poses of a sensor have the sensor's axes."""
+"""Angle of the z axis from the vertical: beyond the first, poses of the base are refused; beyond
+the second, poses of a sensor have the sensor's axes."""
 _JUMP_M, _SPEED_MAX_M_S, _COORDINATE_MAX_M = 10.0, 100.0, 1e8
 """Step (m), speed (m/s) and coordinate (m) that no robot has: the poses are not in metres."""
 _GAP_S = 1.0
@@ -34,19 +34,19 @@ _MARGIN_NS = 1_000_000_000
 """Time (ns) before and after the clouds in which poses are used."""
 
 _SCANS, _RETURNS = 31, 10_000
-"""Number of scans of the drive, every second of which makes the patches, and of returns on those."""
+"""Number of scans, and of returns; every second scan makes the patches."""
 _NOISE_EVERY = 4
 """Of these scans, every fourth shows the noise: its returns about its own surfaces."""
 _BETTER = 1.15
 """Minimum ratio of the distances between surfaces by which one frame is better than another."""
 _CHANCE_M = 0.7 * REACH_M / np.sqrt(3.0)
-"""RMS distance (m) beyond which surfaces seen at different times do not meet: it is 1/sqrt(3) of the
-reach where returns are distributed at random."""
+"""RMS distance (m) beyond which surfaces seen at different times do not meet: it is 1/sqrt(3) of
+the reach where returns are distributed at random."""
 _FITS, _BLURRED = 3.0, 1.5
 """Multiples of the noise: below the first, a frame may be right (KISS-ICP's own poses have 2.4);
 above the second, a warning is shown."""
 _SHARE_MIN = 0.05
-"""Minimum share of the returns within reach of a surface; poses 100 times too far apart have 0.02."""
+"""Minimum share of returns within reach of a surface; poses 100 times too far apart have 0.02."""
 _FRAMES_MAX = 12
 """Maximum number of frames in the bag that are tried; of more, only those of the lidars."""
 _T_FRAME_CAMERA = np.array(
@@ -60,7 +60,7 @@ class GivenPoses:
     """Poses from outside during the bag, in a map whose origin is near them and on the floor.
 
     trajectory: T_map_base. frame: the frame that the given poses are of.
-    origin_m: (3,) the origin of the map in the frame of the given poses; zeros if they are the same.
+    origin_m: (3,) origin of the map in the frame of the given poses; zeros if they are the same.
     """
 
     trajectory: Trajectory

@@ -22,7 +22,7 @@ from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.scans import SkippedScan, read_scans
 
 _COMPANION_NS = 200_000_000
-"""Maximum age (ns) of the other lidar's scan that is registered with one of the horizontal lidar."""
+"""Maximum age (ns) of the other lidar's scan that is registered with a horizontal one."""
 _FORMAT = 13
 """Raised whenever a change to reading or registering scans changes poses."""
 
@@ -33,8 +33,8 @@ class Odometry:
 
     index: (n,) number of each cloud. stamp_ns: (n,). T_odom_sensor: (n, 4, 4) as registered.
     pose_graph: None where loops are not closed. doubts: place among the scans of the first one
-    after a gap, and why its pose may be wrong. failed: scans whose registration raised an exception;
-    none from the cache.
+    after a gap, and why its pose may be wrong. failed: scans whose registration raised an
+    exception; none from the cache.
     """
 
     sensor: Sensor

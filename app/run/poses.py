@@ -31,8 +31,9 @@ _MARGIN_NS = 1_000_000_000
 class RunPoses:
     """T_map_base of a whole drive.
 
-    trajectory: with loops closed. registered: before. floor_slope: (2,) of the map's floor, metres up
-    for each metre along x and y. counts: for run.json. cached: whether the odometry was cached.
+    trajectory: with loops closed. registered: without; scans are labelled with these poses, which
+    have no seams. floor_slope: (2,) of the map's floor, metres up for each metre along x and y.
+    counts: for run.json. cached: whether the odometry was cached.
     """
 
     trajectory: Trajectory

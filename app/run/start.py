@@ -3,10 +3,11 @@
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from ffmap.app.folder import names as run_folder
@@ -63,13 +64,14 @@ def new_run(
     named = (*bag.parts, options.rig, options.trajectory)
     read = [Path(name) for name in named if name is not None and Path(name).exists()]
     folder = run_folder.create(path, overwrite, read)
-    with run_folder.held(path), _hashing(inputs.bag_path) as hashed:
+    with run_folder.held(path):
         options = _with_viewer(options)
         folder.clear()
         record = first_record(inputs, settings, options)
         if given is not None:
             record |= {"map_origin": given.origin_m.tolist(), "poses_frame": given.frame}
-        yield Run(inputs, given, settings, options, folder, record, False, hashed)
+        digest = _hash_in_background(inputs.bag_path)
+        yield Run(inputs, given, settings, options, folder, record, False, digest)
 
 
 @contextmanager
@@ -93,22 +95,31 @@ def resumed_run(path: Path, now: RunOptions) -> Iterator[Run | None]:
             options = options.model_copy(update={"mount": "as-given"})
         if options.scheduler is not None:
             inputs = replace(inputs, bag_path=inputs.bag_path.resolve())
-        with _hashing(inputs.bag_path) as hashed:
-            if "digest" in record["bag"] and record["bag"]["digest"] != hashed():
-                raise InputError(
-                    f"{inputs.bag_path}: is not the bag that {path} was started with; start a new "
-                    "run"
-                )
-            folder.spool.mkdir(exist_ok=True)
-            options = _with_viewer(options)
-            yield Run(inputs, given, settings, options, folder, record, True, hashed)
+        digest = _hash_in_background(inputs.bag_path)
+        if "digest" in record["bag"] and record["bag"]["digest"] != digest():
+            raise InputError(
+                f"{inputs.bag_path}: is not the bag that {path} was started with; start a new run"
+            )
+        folder.spool.mkdir(exist_ok=True)
+        options = _with_viewer(options)
+        yield Run(inputs, given, settings, options, folder, record, True, digest)
 
 
-@contextmanager
-def _hashing(bag: BagPath) -> Iterator[Callable[[], str]]:
-    """Compute the fingerprint of a bag in a thread, while the odometry starts."""
-    with ThreadPoolExecutor(1) as thread:
-        yield thread.submit(fingerprint, bag).result
+def _hash_in_background(bag: BagPath) -> Callable[[], str]:
+    """Compute the fingerprint of a bag in a thread, while the odometry starts.
+
+    An interrupted program does not wait for the thread.
+    """
+    future: Future[str] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(fingerprint(bag))
+        except Exception as error:
+            future.set_exception(error)
+
+    Thread(target=work, daemon=True).start()
+    return future.result
 
 
 def _find(

@@ -27,8 +27,8 @@ ENVIRONMENT = {
     "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
 }
-"""Read by NumPy and the C library at their start: the processes themselves fill the cores, and every
-cloud needs the memory again that the last one freed."""
+"""Read by NumPy and the C library at their start: the processes themselves fill the cores, and
+every cloud needs the memory again that the last one freed."""
 
 
 class WorkerLostError(InputError):

@@ -10,10 +10,10 @@ from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output
 
 
 class RunOptions(BaseModel):
-    """How the bag is read, and what is written.
+    """Inputs and outputs of a run.
 
-    vertical: topics of the labelled lidars; empty to detect them. trajectory: file or topic of poses;
-    None for the odometry. trajectory_frame: their frame; None to detect it.
+    vertical: topics of the labelled lidars; empty to detect them. trajectory: file or topic of
+    poses; None for the odometry. trajectory_frame: their frame; None to detect it.
     digests: of the files that rig and trajectory name, in run.json only.
     """
 

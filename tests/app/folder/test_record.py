@@ -1,4 +1,4 @@
-"""A run's folder whose files hold other values than a run writes: one line that names the file and the value."""
+"""Files of a run with other values than a run writes: an error names the file and the value."""
 
 import json
 from collections.abc import Callable
@@ -31,13 +31,17 @@ from ffmap.loaders.geojson import read_features
         ({"recording_id": {}}, "recording_id"),
     ],
 )
-def test_a_value_of_another_kind_in_run_json(record: dict[str, Any], name: str, tmp_path: Path) -> None:
+def test_a_value_of_another_kind_in_run_json(
+    record: dict[str, Any], name: str, tmp_path: Path
+) -> None:
     (tmp_path / "run.json").write_text(json.dumps(record))
     with pytest.raises(InputError, match=rf"run\.json: {name}: "):
         open_run(tmp_path)
 
 
-def test_what_was_labelled_and_where_it_sits_is_told_of_one_lidar_and_of_several(tmp_path: Path) -> None:
+def test_what_was_labelled_and_where_it_sits_is_told_of_one_lidar_and_of_several(
+    tmp_path: Path,
+) -> None:
     def found(**record: Any) -> FinishedRun:
         (tmp_path / "run.json").write_text(json.dumps(record))
         return open_run(tmp_path)
@@ -48,12 +52,20 @@ def test_what_was_labelled_and_where_it_sits_is_told_of_one_lidar_and_of_several
     assert one.topics == one.options.vertical == ("/vertical",)
     assert [(m.topic, m.clock_ns) for m in mount_corrections(one.record)] == [("/vertical", 7)]
     # The lidar of the poses is labelled too: the mount that was looked into is the other's.
-    rig = {"horizontal": {"topic": "/a"}, "vertical": {"topic": "/a"}, "vertical_2": {"topic": "/b"}}
+    rig = {
+        "horizontal": {"topic": "/a"},
+        "vertical": {"topic": "/a"},
+        "vertical_2": {"topic": "/b"},
+    }
     upright = found(rig=rig, mount=mount, options={"vertical": None})
     assert (upright.topics, upright.options.vertical) == (("/a", "/b"), ())
     assert [m.topic for m in mount_corrections(upright.record)] == ["/b"]
     rig["horizontal"] = {"topic": "/c"}
-    several = found(rig=rig, mounts={"/a": {"used": "as given"}, "/b": mount}, options={"vertical": ["/b", "/a"]})
+    several = found(
+        rig=rig,
+        mounts={"/a": {"used": "as given"}, "/b": mount},
+        options={"vertical": ["/b", "/a"]},
+    )
     assert several.options.vertical == ("/b", "/a")
     assert [m.topic for m in mount_corrections(several.record)] == ["/b"]
     assert found().topics == found(rig={"vertical": None}).topics == ()
@@ -78,11 +90,25 @@ def features(*of: object) -> dict[str, object]:
         ([], "no list of features"),
         ({"features": None}, "no list of features"),
         (features(None), "feature 0"),
-        (features({"geometry": LINE, "properties": DOOR}, {"geometry": LINE}), "feature 1: properties"),
-        (features({"geometry": {**LINE, "coordinates": [[0, 0]]}, "properties": DOOR}), "coordinates"),
-        (features({"geometry": {**LINE, "coordinates": [[0, 0], [1, None]]}, "properties": DOOR}), "coordinates"),
+        (
+            features({"geometry": LINE, "properties": DOOR}, {"geometry": LINE}),
+            "feature 1: properties",
+        ),
+        (
+            features({"geometry": {**LINE, "coordinates": [[0, 0]]}, "properties": DOOR}),
+            "coordinates",
+        ),
+        (
+            features(
+                {"geometry": {**LINE, "coordinates": [[0, 0], [1, None]]}, "properties": DOOR}
+            ),
+            "coordinates",
+        ),
         (features({"geometry": {**LINE, "type": "Point"}, "properties": DOOR}), "geometry.type"),
-        (features({"geometry": LINE, "properties": {"width": None, "state": "open"}}), "properties.width"),
+        (
+            features({"geometry": LINE, "properties": {"width": None, "state": "open"}}),
+            "properties.width",
+        ),
     ],
 )
 def test_doors_that_are_none(content: object, words: str, tmp_path: Path) -> None:
@@ -91,7 +117,9 @@ def test_doors_that_are_none(content: object, words: str, tmp_path: Path) -> Non
         read_doors(tmp_path / "doors.geojson")
 
 
-@pytest.mark.parametrize("ring", [[], [[[0, 0], [1, 0], [0, 0]]], [[[0, 0], [1, 0], [1, 1], [0, None]]]])
+@pytest.mark.parametrize(
+    "ring", [[], [[[0, 0], [1, 0], [0, 0]]], [[[0, 0], [1, 0], [1, 1], [0, None]]]]
+)
 def test_outlines_that_are_none(ring: object, tmp_path: Path) -> None:
     outline = {"geometry": {"type": "Polygon", "coordinates": ring}, "properties": {}}
     (tmp_path / "rooms.geojson").write_text(json.dumps(features(outline)))

@@ -1,4 +1,4 @@
-"""Clouds that are wrong in the course of a drive cost themselves alone, and the run says which and why."""
+"""Damaged clouds are skipped, the others are labelled, and the run reports which and why."""
 
 import json
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from rosbags.rosbag1 import Reader, Writer
 
 from ffmap.algorithms.building.final_labels import Relabelling
 from ffmap.app.cli import main
-from ffmap.app.run import scans
+from ffmap.app.run import blocks
 from ffmap.loaders.bag import Message, make_typestore
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.app.run.test_scans import failing
@@ -19,12 +19,17 @@ from tests.loaders.bag_builder import CLOUD
 VERTICAL, HORIZONTAL = "/vertical_velodyne/velodyne_points", "/horizontal_velodyne/velodyne_points"
 
 
-def changed(bag: Path, path: Path, changes: dict[tuple[str, int], Callable[[Message], None]]) -> Path:
+def changed(
+    bag: Path, path: Path, changes: dict[tuple[str, int], Callable[[Message], None]]
+) -> Path:
     """The same bag with some clouds changed, by their topic and number."""
     store = make_typestore(1)
     numbers = {VERTICAL: 0, HORIZONTAL: 0}
     with Reader(bag) as reader, Writer(path) as writer:
-        connections = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=store) for c in reader.connections}
+        connections = {
+            c.id: writer.add_connection(c.topic, c.msgtype, typestore=store)
+            for c in reader.connections
+        }
         for connection, time_ns, data in reader.messages():
             if connection.topic in numbers:
                 change = changes.get((connection.topic, numbers[connection.topic]))
@@ -70,9 +75,22 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
         },
     )
     monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(Relabelling, "labels", failing(Relabelling.labels, {2}, ValueError("no face")))
+    monkeypatch.setattr(
+        Relabelling, "labels", failing(Relabelling.labels, {2}, ValueError("no face"))
+    )
     out = tmp_path / "run"
-    words = ["run", bag, "--out", out, "--outputs", "labels,maps", "--no-evaluate", "--quiet", "--workers", "1"]
+    words = [
+        "run",
+        bag,
+        "--out",
+        out,
+        "--outputs",
+        "labels,maps",
+        "--no-evaluate",
+        "--quiet",
+        "--workers",
+        "1",
+    ]
     monkeypatch.setattr("sys.argv", ["ffmap", *map(str, words)])
     with pytest.raises(SystemExit) as ended:
         main()
@@ -83,12 +101,18 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
     assert counts["skipped"] == {"no points": 1, "no return within 100 m (scan.range_max_m)": 1}
     assert counts["beyond_range"] == 1
     warnings = "\n".join(record["warnings"])
-    assert "returns farther than 100 m away were left out (scan.range_max_m): 1, in 1 of" in warnings
     assert (
-        f"1 of {counts['registrations'] + 1} horizontal clouds skipped: {HORIZONTAL}: the cloud is truncated"
+        "returns farther than 100 m away were left out (scan.range_max_m): 1, in 1 of" in warnings
+    )
+    assert (
+        f"1 of {counts['registrations'] + 1} horizontal clouds skipped: {HORIZONTAL}: the cloud is "
+        "truncated"
         in warnings
     )
-    assert "1 scans keep the labels that they have alone: final labelling failed (ValueError: no face)" in warnings
+    assert (
+        "1 scans keep the labels that they have alone: final labelling failed (ValueError: no face)"
+        in warnings
+    )
     assert "no face" in record["tracebacks"]["ValueError: no face"]
     columns, rows = (int(word) for word in (out / "map.pgm").read_bytes().split(b"\n")[1].split())
     assert columns * rows < 500 * 500
@@ -97,9 +121,13 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
 def test_a_run_whose_scans_fail_ends_with_one_line_and_keeps_the_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    simulate(tmp_path / "a.bag", SimulationSettings(building="small", sensor="vlp16", duration_s=1.5))
+    simulate(
+        tmp_path / "a.bag", SimulationSettings(building="small", sensor="vlp16", duration_s=1.5)
+    )
     monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(scans, "label_scan", failing(scans.label_scan, set(range(99)), ValueError("no wall")))
+    monkeypatch.setattr(
+        blocks, "label_scan", failing(blocks.label_scan, set(range(99)), ValueError("no wall"))
+    )
     words = ["run", tmp_path / "a.bag", "--out", tmp_path / "run", "--quiet", "--workers", "1"]
     monkeypatch.setattr("sys.argv", ["ffmap", *map(str, words)])
     with pytest.raises(SystemExit) as ended:

@@ -17,17 +17,24 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_blocks_of_a_drive_are_labelled_by_a_cluster_as_they_are_here(bag: Path, cluster: str) -> None:
+def test_blocks_of_a_drive_are_labelled_by_a_cluster_as_they_are_here(
+    bag: Path, cluster: str
+) -> None:
     # In a relative folder, which the cluster's workers would look for elsewhere.
     environment, records = with_cache(bag.parent / "cache"), []
-    for program, out, words in ((ffmap_here, "here", ()), (ffmap, "there", ("--scheduler", cluster))):
+    for program, out, words in (
+        (ffmap_here, "here", ()),
+        (ffmap, "there", ("--scheduler", cluster)),
+    ):
         done = program(environment, "run", bag.name, "--out", out, *words, cwd=bag.parent)
         assert done.returncode == 0, done.stderr
         records.append(json.loads((bag.parent / out / "run.json").read_text()))
     here, there = records
     assert here["labels_digest"] == there["labels_digest"] != ""
     for name in ("walls.geojson", "map.pgm", "cloud.ply"):
-        assert (bag.parent / "here" / name).read_bytes() == (bag.parent / "there" / name).read_bytes()
+        assert (bag.parent / "here" / name).read_bytes() == (
+            bag.parent / "there" / name
+        ).read_bytes()
     assert (bag.parent / "there" / "recording.rrd").stat().st_size > 100_000
 
 

@@ -1,4 +1,4 @@
-"""A mount that is not where the bag says it is: noticed in the first seconds, refined, used from then on and told."""
+"""Extrinsics that are wrong in the bag: detected in the first seconds, refined, used, reported."""
 
 import json
 import re
@@ -17,7 +17,15 @@ SHORT = ("--outputs", "labels,maps", "--set", "trajectory.level_s=3")
 
 
 def run(folder: Path, out: str, *words: object) -> "subprocess.CompletedProcess[str]":
-    done = ffmap_here(with_cache(folder / "cache"), "run", folder / "drive.bag", "--out", folder / out, *SHORT, *words)
+    done = ffmap_here(
+        with_cache(folder / "cache"),
+        "run",
+        folder / "drive.bag",
+        "--out",
+        folder / out,
+        *SHORT,
+        *words,
+    )
     assert done.returncode == 0, done.stderr
     return done
 
@@ -32,7 +40,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag, and a rig file that puts its vertical lidar 2 degrees and 5 cm off."""
     path = tmp_path_factory.mktemp("mount")
     simulate(path / "drive.bag", SimulationSettings(building="small", seed=3, duration_s=12.0))
-    off = transforms.make_transform(Rotation.from_euler("xyz", [1.2, -1.0, 1.2], degrees=True), [0.02, 0.04, -0.02])
+    off = transforms.make_transform(
+        Rotation.from_euler("xyz", [1.2, -1.0, 1.2], degrees=True), [0.02, 0.04, -0.02]
+    )
     write_rig(path / "rig.toml", rig_of(path / "drive.bag"), off)
     return path
 
@@ -44,7 +54,9 @@ def test_a_mount_that_is_off_is_refined_and_told(folder: Path) -> None:
     assert "--mount as-given" in done.stdout + done.stderr
     vertical = rig_of(folder / "drive.bag").vertical
     assert vertical is not None
-    left = transforms.to_twist(transforms.invert(vertical.T_base_sensor) @ np.array(mount["T_base_sensor"]))
+    left = transforms.to_twist(
+        transforms.invert(vertical.T_base_sensor) @ np.array(mount["T_base_sensor"])
+    )
     assert np.degrees(np.linalg.norm(left[:3])) < 0.4
     assert np.linalg.norm(left[3:]) < 0.03
     metrics = json.loads((folder / "run" / "metrics.json").read_text())

@@ -1,4 +1,4 @@
-"""The cache of odometries: what was written is read again, damage is detected, and it stays small."""
+"""The cache of odometries: it returns what was written, detects damage, and stays small."""
 
 import os
 import time
@@ -19,17 +19,28 @@ BAG, OTHER_BAG = "a" * 32, "b" * 32
 
 def results() -> list[Result]:
     points = np.random.default_rng(0).normal(size=(300, 3)).astype(np.float32)
-    figures = dict.fromkeys(("threshold_m", "correction_m", "residual_m", "inlier_share", "refined_m"), 0.5)
-    figures |= {"refined_inlier_share": float("nan"), "weakest_share": 0.1, "agreement": 1.0, "rival": 0.0}
+    figures = dict.fromkeys(
+        ("threshold_m", "correction_m", "residual_m", "inlier_share", "refined_m"), 0.5
+    )
+    figures |= {
+        "refined_inlier_share": float("nan"),
+        "weakest_share": 0.1,
+        "agreement": 1.0,
+        "rival": 0.0,
+    }
     scans: list[Result] = [
         Registration(
-            index=i, stamp_ns=10**9 * i, T_odom_sensor=np.eye(4) * (i + 1), keypoints_sensor=points[:i],
+            index=i, stamp_ns=10**9 * i, T_odom_sensor=np.eye(4) * (i + 1),
+            keypoints_sensor=points[:i],
             local_map_odom=points[: 7 * (i % 3)], refused=i == 5, milliseconds=2.0, **figures,
         )
         for i in range(120)
     ]  # fmt: skip
     T, ones = np.tile(np.eye(4), (3, 1, 1)), np.arange(3)
-    return [*scans, PoseGraph(np.eye(4), ones, T, 2 * T, ones, ones, 0.5 * ones, 0.5 * ones, 0.5 * ones)]
+    return [
+        *scans,
+        PoseGraph(np.eye(4), ones, T, 2 * T, ones, ones, 0.5 * ones, 0.5 * ones, 0.5 * ones),
+    ]
 
 
 RESULTS = results()
@@ -81,7 +92,9 @@ def flip_a_bit(path: Path) -> None:
         flip_a_bit,
         lambda path: path.write_bytes(b""),
         lambda path: path.write_bytes(path.read_bytes()[:-100]),
-        lambda path: path.write_bytes(path.read_bytes()[:1000] + bytes(1000) + path.read_bytes()[2000:]),
+        lambda path: path.write_bytes(
+            path.read_bytes()[:1000] + bytes(1000) + path.read_bytes()[2000:]
+        ),
     ],
 )
 def test_a_damaged_file_is_reported_and_removed(damage, cache: Path) -> None:
@@ -95,7 +108,9 @@ def test_a_damaged_file_is_reported_and_removed(damage, cache: Path) -> None:
     assert is_cached()
 
 
-def test_a_cache_that_cannot_be_written_is_reported(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_is_reported(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cache.parent.mkdir()
     cache.write_text("a file in the place of the folder")
     assert "cannot be kept in the cache" in str(keep().failure)
@@ -118,7 +133,9 @@ def test_an_odometry_that_is_interrupted_leaves_nothing(cache: Path) -> None:
     assert list(cache.iterdir()) == []
 
 
-def test_what_was_not_used_for_longest_is_removed_first(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_not_used_for_longest_is_removed_first(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     keys = [f"{i:024x}" for i in range(5)]
     for age, key in zip((500, 400, 300, 200), keys, strict=False):
         keep(key)

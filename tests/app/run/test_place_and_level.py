@@ -19,18 +19,26 @@ def scan_of(rise_m: FloatArray, places: FloatArray) -> Scan:
     return synthetic.scan_of(np.column_stack([places, rise_m]), np.zeros(len(places), int), 1)
 
 
-@pytest.mark.parametrize(("ramp", "tilt_deg", "turned"), [(0.0, 0.4, True), (0.08, 0.0, False), (0.0, 1.5, False)])
-def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(ramp: float, tilt_deg: float, turned: bool) -> None:
+@pytest.mark.parametrize(
+    ("ramp", "tilt_deg", "turned"), [(0.0, 0.4, True), (0.08, 0.0, False), (0.0, 1.5, False)]
+)
+def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(
+    ramp: float, tilt_deg: float, turned: bool
+) -> None:
     generator = np.random.default_rng(0)
     places = generator.uniform(-3, 3, (30_000, 2))
-    # The ramp begins right ahead: one plane through its foot would slope by half as much, which passes for a tilt.
-    rise_m = ramp * np.maximum(places[:, 0] - 1.0, 0.0) + np.tan(np.radians(tilt_deg)) * places[:, 0]
+    # The ramp begins right ahead: one plane through its foot would look like a tilt.
+    rise_m = (
+        ramp * np.maximum(places[:, 0] - 1.0, 0.0) + np.tan(np.radians(tilt_deg)) * places[:, 0]
+    )
     scan = scan_of(rise_m + generator.normal(0, 0.01, len(places)), places)
     trajectory = Trajectory(np.array([-1, 1]) * 10**9, np.tile(np.eye(4), (2, 1, 1)))
     # These returns follow no ring.
     ranges = smooth_ranges(scan, SmoothingSettings(returns=0))
     rearrangement, most_deg = SETTINGS.rearrangement, SETTINGS.trajectory.level_scan_max_deg
-    level = place_and_level(scan, ranges, trajectory, np.eye(4), 0.0, np.zeros(2), rearrangement, most_deg)
+    level = place_and_level(
+        scan, ranges, trajectory, np.eye(4), 0.0, np.zeros(2), rearrangement, most_deg
+    )
     placed, floor = level.placed, level.floor
     np.testing.assert_allclose(floor.heights_above(placed.points_level).std(), 0.01, atol=0.002)
     assert (np.abs(placed.points_level - scan.points_sensor).max() > 0.01) == turned
@@ -40,7 +48,7 @@ def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(ramp: float, tilt_deg: fl
 
 
 def test_a_scan_of_a_lidar_that_is_lifted_keeps_the_maps_floor() -> None:
-    """A device in a hand: it was 1 m above a floor that slopes when the map began, and is 1.7 m above it 5 m farther on."""
+    """A hand-held device: 1 m above a sloping floor at first, and 1.7 m above it 5 m farther."""
     generator = np.random.default_rng(0)
     slope, at_m, height_m = np.array([0.01, 0.0]), np.array([5.0, 0.0]), 1.7
     places = generator.uniform(-3, 3, (30_000, 2))
@@ -49,7 +57,9 @@ def test_a_scan_of_a_lidar_that_is_lifted_keeps_the_maps_floor() -> None:
     T_map_base[:3, 3] = [*at_m, height_m + at_m @ slope]
     trajectory = Trajectory(np.array([-1, 1]) * 10**9, np.tile(T_map_base, (2, 1, 1)))
     ranges = smooth_ranges(scan, SmoothingSettings(returns=0))
-    level = place_and_level(scan, ranges, trajectory, np.eye(4), 1.0, slope, SETTINGS.rearrangement, 2.0)
+    level = place_and_level(
+        scan, ranges, trajectory, np.eye(4), 1.0, slope, SETTINGS.rearrangement, 2.0
+    )
     assert level.floor.support > 5000
     heights_m = level.floor.heights_above(level.placed.points_level)
     assert abs(heights_m.mean()) < 0.002

@@ -1,4 +1,4 @@
-"""A drive of 25 s through a furnished office: how good labels, doors, map and rooms are stays within a point of what it was."""
+"""A drive of 25 s through a furnished office: labels, doors, map and rooms stay as good."""
 
 import json
 from typing import Any

@@ -32,7 +32,7 @@ def finished(cache: Path, *words: object) -> None:
 
 
 def results(out: Path) -> tuple[str, bytes, bytes, dict[int, float]]:
-    """The labels' digest, the map, the trajectory, and the returns on walls in each recorded scan."""
+    """Labels' digest, map, trajectory, and returns on walls in each recorded scan."""
     record = json.loads((out / "run.json").read_text())
     assert record["outcome"] == "complete"
     walls = rows(out / "recording.rrd", "/metrics/labels/wall")
@@ -50,7 +50,9 @@ def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_cached_odometry_and_a_single_worker_give_the_same(bag: Path, whole: Path, tmp_path: Path) -> None:
+def test_a_cached_odometry_and_a_single_worker_give_the_same(
+    bag: Path, whole: Path, tmp_path: Path
+) -> None:
     words = ("--out", tmp_path / "alone", "--workers", 1, "--detail", "map", *OPTIONS)
     finished(whole.parent / "cache", bag, *words)
     assert results(tmp_path / "alone") == results(whole)
@@ -58,9 +60,19 @@ def test_a_cached_odometry_and_a_single_worker_give_the_same(bag: Path, whole: P
 
 
 @pytest.mark.parametrize("stage", LEFT_BY)
-def test_a_killed_run_is_resumed_to_the_same(stage: str, bag: Path, whole: Path, tmp_path: Path) -> None:
+def test_a_killed_run_is_resumed_to_the_same(
+    stage: str, bag: Path, whole: Path, tmp_path: Path
+) -> None:
     cache, out = tmp_path / "cache", tmp_path / "killed"
-    kill_once(with_cache(cache), lambda: [*tmp_path.glob(LEFT_BY[stage])], "run", bag, "--out", out, *OPTIONS)
+    kill_once(
+        with_cache(cache),
+        lambda: [*tmp_path.glob(LEFT_BY[stage])],
+        "run",
+        bag,
+        "--out",
+        out,
+        *OPTIONS,
+    )
     assert json.loads((out / "run.json").read_text())["outcome"] == "running"
     finished(cache, "--resume", out)
     assert results(out) == results(whole)

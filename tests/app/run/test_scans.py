@@ -1,4 +1,4 @@
-"""Blocks of scans: labelled by a process that works on several runs, and read again to be relabelled."""
+"""Blocks of scans: labelled by a worker of several runs, and read again to be relabelled."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,9 +13,10 @@ from ffmap.algorithms.building.halo import Halo
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.summary import Features
 from ffmap.app.record.read_back import rows
-from ffmap.app.run import final, scans
+from ffmap.app.run import blocks, final
 from ffmap.app.run.arrays import map_arrays, pack, pack_rows, unpack, unpack_rows, write_arrays
-from ffmap.app.run.scans import SCANS_PER_BLOCK, Block, LabelledScan, block_bounds, label_block
+from ffmap.app.run.blocks import Block, LabelledScan, label_block
+from ffmap.app.run.scans import SCANS_PER_BLOCK, block_bounds
 from ffmap.app.setup.inputs import Inputs, check_failed, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Detail
@@ -32,7 +33,12 @@ SCAN, PLACED, _, LABELLING = labelled()
 
 
 def block_of(
-    inputs: Inputs, path: Path, run: str = "a", detail: Detail | None = None, first: int = 0, count: int = 4
+    inputs: Inputs,
+    path: Path,
+    run: str = "a",
+    detail: Detail | None = None,
+    first: int = 0,
+    count: int = 4,
 ) -> Block:
     """Some scans of a simulated drive, with its true poses."""
     with open_bag(inputs.bag_path) as bag:
@@ -66,7 +72,9 @@ def test_a_worker_reads_the_bag_of_its_run_where_another_bag_was(tmp_path: Path)
     for run in ("first", "second"):
         inputs = drive(tmp_path / f"{run}.bag", seed=len(found))
         (tmp_path / f"{run}.bag").replace(tmp_path / "drive.bag")
-        block = block_of(replace(inputs, bag_path=BagPath((tmp_path / "drive.bag",))), tmp_path / run, run)
+        block = block_of(
+            replace(inputs, bag_path=BagPath((tmp_path / "drive.bag",))), tmp_path / run, run
+        )
         label_block(block)
         found.append(labels_of(block)[0])
     assert not np.array_equal(*found)
@@ -101,11 +109,14 @@ def test_a_scan_that_fails_midway_leaves_nothing_in_its_block(
     block = replace(sound, path=tmp_path / "failing")
     with monkeypatch.context() as patch:
         # One fails before anything of it is recorded, one when all is.
-        patch.setattr(scans, "label_scan", failing(scans.label_scan, {0}, ValueError("no wall")))
-        patch.setattr(scans, "log_scan", failing(scans.log_scan, {1}, IndexError("no row")))
+        patch.setattr(blocks, "label_scan", failing(blocks.label_scan, {0}, ValueError("no wall")))
+        patch.setattr(blocks, "log_scan", failing(blocks.log_scan, {1}, IndexError("no row")))
         done = label_block(block)
     assert [scan.scan for scan in done.scans] == [1, 3]
-    assert [(s.index, s.reason) for s in done.skipped] == [(0, "ValueError: no wall"), (2, "IndexError: no row")]
+    assert [(s.index, s.reason) for s in done.skipped] == [
+        (0, "ValueError: no wall"),
+        (2, "IndexError: no row"),
+    ]
     assert all("Traceback" in s.trace for s in done.skipped)
     kept, whole = labels_of(block), labels_of(sound)
     assert list(kept) == [1, 3]
@@ -115,23 +126,29 @@ def test_a_scan_that_fails_midway_leaves_nothing_in_its_block(
     assert features.scan.tolist() == [1, 3]
     # The recording shows nothing of a scan that failed.
     assert [row.scan for row in rows(block.evidence, "/scan", "is_recursive")] == [0, 2]
-    monkeypatch.setattr(scans, "label_scan", failing(scans.label_scan, {1}, MemoryError()))
+    monkeypatch.setattr(blocks, "label_scan", failing(blocks.label_scan, {1}, MemoryError()))
     with pytest.raises(MemoryError):
         label_block(sound)
 
 
 def test_where_more_than_a_fifth_fail_the_commonest_reason_is_named() -> None:
-    failed = [SkippedScan(i, 0, "ValueError: no wall" if i else "IndexError: 3", "trace") for i in range(3)]
+    failed = [
+        SkippedScan(i, 0, "ValueError: no wall" if i else "IndexError: 3", "trace")
+        for i in range(3)
+    ]
     check_failed(BagPath((Path("a.bag"),)), failed, 15, "labelling")
     words = r"a.bag: labelling failed for 3 of 14 scans.* 2 times with ValueError: no wall"
     with pytest.raises(InputError, match=words):
         check_failed(BagPath((Path("a.bag"),)), failed, 14, "labelling")
 
 
-@pytest.mark.parametrize(("order", "scale"), [("of the cloud", 1.0), ("another", 1.0), ("another", 20.0)])
+@pytest.mark.parametrize(
+    ("order", "scale"), [("of the cloud", 1.0), ("another", 1.0), ("another", 20.0)]
+)
 def test_a_scan_comes_back_to_half_its_grid(tmp_path: Path, order: str, scale: float) -> None:
     generator = np.random.default_rng(0)
-    places = np.arange(len(SCAN)) + len(SCAN) // 10 * (np.arange(len(SCAN)) > 99)  # some returned nothing
+    # Some returned nothing.
+    places = np.arange(len(SCAN)) + len(SCAN) // 10 * (np.arange(len(SCAN)) > 99)
     if order == "another":
         places = generator.permutation(places)
     scan = replace(SCAN, cloud_index=places.astype(np.int32), cloud_size=int(places.max()) + 5)

@@ -1,4 +1,4 @@
-"""Bags of three lidars and of two upright ones, from end to end: all that sweep walls are labelled, as if each were alone."""
+"""Bags of several lidars, from end to end: each is labelled as if it were alone."""
 
 import json
 from collections import Counter
@@ -9,14 +9,13 @@ import pytest
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import UInt8Array
-from ffmap.app.analysis.evaluation import evaluate_run
-from ffmap.app.analysis.figures import FIGURES
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.record import mount_corrections
 from ffmap.app.record.read_back import readable, rows
 from ffmap.app.run.arrays import map_arrays, unpack_rows
+from ffmap.app.run.blocks import LabelledScan, label_block
 from ffmap.app.run.extrinsics import check_extrinsics
-from ffmap.app.run.scans import LabelledScan, block_bounds, label_block
+from ffmap.app.run.scans import block_bounds
 from ffmap.app.setup.inputs import find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import load_settings
@@ -27,9 +26,11 @@ from ffmap.loaders.simulator import SimulationSettings, simulate
 from ffmap.loaders.trajectory_file import read_tum
 from ffmap.loaders.truth import read_truth
 from tests.app.run.test_scans import block_of
-from tests.program import ffmap_here, kill_once, with_cache
+from tests.program import ffmap_here, with_cache
 
-LEFT, RIGHT, UPRIGHT = (f"/{place}_velodyne/velodyne_points" for place in ("left", "right", "horizontal"))
+LEFT, RIGHT, UPRIGHT = (
+    f"/{place}_velodyne/velodyne_points" for place in ("left", "right", "horizontal")
+)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +42,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     simulate(path / "drive", settings)
     outputs = "recording,labelled-bag,labels,maps,geojson"
-    done = ffmap_here(with_cache(path / "cache"), "run", path / "drive", "--out", path / "run", "--outputs", outputs)
+    done = ffmap_here(
+        with_cache(path / "cache"),
+        "run",
+        path / "drive",
+        "--out",
+        path / "run",
+        "--outputs",
+        outputs,
+    )
     assert done.returncode == 0, done.stderr
     return path
 
@@ -85,7 +94,9 @@ def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None
     topics = open_run(folder / "run").topics
     with readable(folder / "run" / "recording.rrd") as recording:
         said = {row.scan: row.values for row in rows(recording.path, "/scan/lidar", "place")}
-        drawn = {row.scan for row in rows(recording.path, entities.POINTS, entities.POINT_LABEL_SCAN)}
+        drawn = {
+            row.scan for row in rows(recording.path, entities.POINTS, entities.POINT_LABEL_SCAN)
+        }
     assert said.keys() == drawn
     for scan, values in said.items():
         place = int(inputs.scans.lidar[scan])
@@ -119,34 +130,18 @@ def test_a_lidars_scans_are_labelled_as_if_it_were_alone(folder: Path) -> None:
             np.testing.assert_array_equal(of_topic[key], labels)
 
 
-def test_killed_and_resumed_with_one_worker_it_has_the_same_labels(folder: Path) -> None:
-    out, environment = folder / "killed", with_cache(folder / "cache")
-    words = ("run", folder / "drive", "--out", out, "--workers", 1, "--outputs", "labels", "--no-evaluate")
-    kill_once(environment, lambda: list(out.glob("spool/*.arrow")), *words)
-    assert record_of(out)["outcome"] == "running"
-    done = ffmap_here(environment, "run", "--resume", out)
-    assert done.returncode == 0, done.stderr
-    for what in ("labels_digest", "bag"):
-        assert record_of(out)[what] == record_of(folder / "run")[what]
-    evaluate_run(open_run(out), None, 1)
-    whole, resumed = (json.loads((run / "metrics.json").read_text()) for run in (folder / "run", out))
-    for name, value in whole.items():
-        if name in FIGURES and "per_cloud" not in name:
-            assert resumed[name] == value, name
-    compared = ffmap_here(environment, "compare", folder / "run", out, "--out", folder / "same")
-    assert compared.returncode == 0, compared.stderr
-    (found,) = json.loads((folder / "same" / "comparison.json").read_text())["comparisons"]
-    changes = found["changes"]
-    assert (changes["labels.changed"], changes["labels.changed_scan"]) == (0, 0)
-    assert changes["labels.scans"] == len(read_tum(out / "trajectory.tum"))
-
-
 def test_a_scan_is_labelled_again_bit_for_bit(folder: Path) -> None:
     inputs = find_inputs(folder / "drive", RunOptions())
     # The last but one of the second lidar.
     scan = int(np.flatnonzero(inputs.scans.lidar == 1)[-2])
     done = ffmap_here(
-        with_cache(folder / "cache"), "inspect", folder / "run", "--scan", scan, "--out", folder / "scan.rrd"
+        with_cache(folder / "cache"),
+        "inspect",
+        folder / "run",
+        "--scan",
+        scan,
+        "--out",
+        folder / "scan.rrd",
     )
     assert done.returncode == 0, done.stderr
     topic = inputs.verticals[inputs.scans.lidar[scan]].lidar.topic
@@ -177,14 +172,25 @@ def test_only_the_mount_that_is_off_is_refined(folder: Path) -> None:
 
 
 def test_two_upright_lidars_that_open_wide_are_labelled_both(tmp_path: Path) -> None:
-    settings = SimulationSettings(building="small", seed=3, duration_s=1.0, sensor="os0-128", lidars="upright")
+    settings = SimulationSettings(
+        building="small", seed=3, duration_s=1.0, sensor="os0-128", lidars="upright"
+    )
     simulate(tmp_path / "drive.bag", settings)
     poses = ("--trajectory", "/truth/pose", "--outputs", "labels,maps")
-    done = ffmap_here(with_cache(tmp_path / "cache"), "run", tmp_path / "drive.bag", "--out", tmp_path / "run", *poses)
+    done = ffmap_here(
+        with_cache(tmp_path / "cache"),
+        "run",
+        tmp_path / "drive.bag",
+        "--out",
+        tmp_path / "run",
+        *poses,
+    )
     assert done.returncode == 0, done.stderr
     driven = clouds_of(tmp_path / "drive.bag")
     topics = ["/front_ouster/points", "/rear_ouster/points"]
-    assert [driven["/truth/classes"], driven["/truth/classes_2"]] == [driven[topic] for topic in topics]
+    assert [driven["/truth/classes"], driven["/truth/classes_2"]] == [
+        driven[topic] for topic in topics
+    ]
     assert sorted(open_run(tmp_path / "run").topics) == topics
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert metrics["scans.without_truth"] == 0

@@ -1,4 +1,4 @@
-"""Processes that are killed: one line says so, nobody waits for ever, and no worker outlives its run."""
+"""Killed processes are reported in one line, and no worker outlives its run."""
 
 import os
 import subprocess
@@ -63,7 +63,9 @@ def _is_alive_in(process: psutil.Process, session: int) -> bool:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes by their session")
-def test_killed_worker_is_one_line_that_names_memory_and_how_to_go_on(bag: Path, tmp_path: Path) -> None:
+def test_killed_worker_is_one_line_that_names_memory_and_how_to_go_on(
+    bag: Path, tmp_path: Path
+) -> None:
     running = Running(bag, tmp_path / "run", tmp_path / "cache")
     running.wait_for_workers()[0].kill()
     said = running.process.communicate(timeout=WAIT_S)[1].splitlines()
