@@ -107,7 +107,6 @@ AGREEMENTS: dict[int, tuple[str, Color]] = {
     Agreement.BOTH: ("wall in both", (20, 140, 60)),
     Agreement.ONLY_MAP: ("wall only in the map", (240, 50, 50)),
     Agreement.ONLY_REFERENCE: ("wall only in the ground truth", (255, 150, 0)),
-    Agreement.NOT_SEEN: ("wall that was not seen", (120, 160, 230)),
 }
 """Name and colour of each result of a comparison of two maps (Fig. 9e)."""
 

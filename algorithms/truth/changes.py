@@ -1,6 +1,6 @@
 """Differences between two results on one drive: labels, walls, doors, map cells, poses.
 
-The first result, A, is compared with the second, B: A has what was lost, B what was gained.
+Lost walls, doors and cells are in the first result, A, alone; gained ones in the second, B.
 """
 
 from collections.abc import Sequence
@@ -91,7 +91,7 @@ class LabelChange:
 
 @dataclass(eq=False, kw_only=True)
 class Changes:
-    """What differs between two results and where; empty or None for what was not compared.
+    """Differences between two results; empty or None where nothing was compared.
 
     lost, gained: "walls" (n, 2, 2) in pieces and "cells" (n, 2) of A or B alone.
     doors: features of doors "lost", "gained" and "altered", each with a description.

@@ -10,11 +10,11 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Arr
 from ffmap.algorithms.base.segments import lengths_m
 
 RETURNS_MIN = 200
-"""A door was passed if this many returns lie near its frame or leaf,"""
+"""Minimum number of returns near the frame or leaf of a door that was passed."""
 NEAR_M = 0.3
-"""at most this far (m) from it,"""
+"""Maximum distance (m) of these returns from frame or leaf."""
 RANGE_M = 6.0
-"""measured from at most this far (m)."""
+"""Maximum range (m) of these returns."""
 MATCH_M = 0.3
 """Maximum distance (m) of the midpoints of matching doors."""
 MATCH_DEG = 15.0
@@ -25,7 +25,7 @@ MATCH_DEG = 15.0
 class TrueDoors:
     """Doors of the ground truth, in the map.
 
-    ends: (D, 2, 2) the two jambs, along the sill; between them lies the clear width.
+    ends: (D, 2, 2) the two jambs, along the sill; the clear width is between them.
     head_m: (D,) height of the lintel's underside above the floor.
     leaves: for each door (k, 2, 2), the hinge and the free edge of its k leaves.
     state: (D,) `DoorState`; open means ajar by more than 10 cm.

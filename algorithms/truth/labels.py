@@ -20,9 +20,9 @@ EITHER = {
 def right_wrong_missed(confusion: IntArray) -> IntArray:
     """Count true positives, false positives and false negatives (6, 3) of every label.
 
-    Glass panes are not counted. Where two labels are right, neither is counted; any other is a
-    false positive. Outside and people, every label but structure is right: only the label outside
-    on what is outside is a true positive, clutter is not counted.
+    Glass panes are not counted. If two labels are right, neither is counted; any other label is a
+    false positive. Outside the building, the label outside is a true positive, and clutter is not
+    counted.
 
     Args:
         confusion: (11, 7) by `Truth` and `Label`, the last column without a label.
@@ -39,13 +39,13 @@ def right_wrong_missed(confusion: IntArray) -> IntArray:
 
 
 def outside_kept(confusion: IntArray) -> tuple[int, int]:
-    """Count what is outside and labelled as structure, and all that is outside."""
+    """Count returns from outside with a label of structure, and all returns from outside."""
     outside = confusion[Truth.OUTSIDE]
     return int(outside[list(STRUCTURE)].sum()), int(outside.sum())
 
 
 def verdicts(truth: UInt8Array, label: UInt8Array) -> UInt8Array:
-    """Return the `Verdict` (n,) of each label; what is not counted is right."""
+    """Return the `Verdict` (n,) of each label; labels that are not counted are right."""
     return _VERDICT_OF[np.minimum(truth, len(Truth)), np.minimum(label, UNLABELLED)]
 
 

@@ -30,7 +30,6 @@ class Agreement(IntEnum):
     BOTH = 2  # wall in both
     ONLY_MAP = 3
     ONLY_REFERENCE = 4
-    NOT_SEEN = 5
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from scipy import ndimage
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 
 ENTERED_M = 1.0
-"""A room was entered if this much of the path (m) lies in it."""
+"""Minimum length (m) of the path in a room that was entered."""
 TOUCHING_M = 0.3
 """Maximum distance (m) of rooms that touch."""
 ROOM_MIN_M2 = 0.5
@@ -25,7 +25,7 @@ class RoomFigures:
     precision: (F,) largest overlap with one true room / own area.
     counted: (T,) whether the mean recall includes the true room.
     split: true rooms that contain most of two or more found rooms that touch.
-    merged: pairs of true rooms whose mapped parts lie mostly, and with 1 m² or more, in one found
+    merged: pairs of true rooms with most of their mapped parts, and 1 m² or more, in one found
         room.
     """
 

@@ -165,7 +165,7 @@ def compare_runs(
         for subject, compare in _SUBJECTS.items():
             try:
                 if not change.same_bag:
-                    raise _NotComparableError("the runs labelled clouds of different bags or topics")
+                    raise _NotComparableError("the runs labelled different bags or topics")
                 compare(change, changed_points)
             except _NotComparableError as reason:
                 change.not_compared[subject] = str(reason)
@@ -350,8 +350,8 @@ def _settings(run: FinishedRun) -> dict[str, Any]:
         "bag": str(run.bag_path) if run.bag_path else None,
         "bag digest": run.part("bag").get("digest"),
         "poses from": run.record.get("poses_from"),
-        **dotted_keys(run.part("options"), "option "),
-        **dotted_keys(run.part("versions"), "version of "),
+        **dotted_keys(run.part("options"), "options."),
+        **dotted_keys(run.part("versions"), "versions."),
     }
 
 

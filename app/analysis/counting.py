@@ -26,12 +26,12 @@ from ffmap.loaders.truth import TruthClasses
 CLOUDS_PER_JOB = 200
 """With fewer, a process costs more time than it saves; with more, its voxels fill the memory."""
 _MARGIN_NS = 200_000_000
-"""The first and the last sweep may lie this far outside the true poses."""
+"""The first and the last scan may begin this long before and after the true poses."""
 
 
 @dataclass(frozen=True, eq=False)
 class Counting:
-    """What is counted, and against what.
+    """A run to count, and the ground truth.
 
     bag, lidars, labels: the run's bag, the lidars it labelled, and its labels.parquet.
     truth_bag: has the true classes of the clouds of each lidar on `topics`, None without any.

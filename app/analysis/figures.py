@@ -257,7 +257,7 @@ def label_figures(
     Args:
         by: a key of `LABELS_BY`.
         counts: (6, 3) right, wrong and missed of every `Label`.
-        outside_kept: what is outside and labelled as structure, and all that is outside.
+        outside_kept: returns from outside with a label of structure, and all returns from outside.
         confusion: (11, 7) by `Truth` and `Label`.
         unit: area (m²) of a voxel, or 1 for a point.
     """
@@ -348,7 +348,7 @@ def trajectory_figures(errors: "TrajectoryErrors") -> Metrics:
 
 
 def find_name(name: str, known: Iterable[str], option: str, advice: str) -> str:
-    """Return the known name; an underscore may stand for a dot.
+    """Return the known name; underscores match dots.
 
     Raises InputError that suggests the most similar name.
     """

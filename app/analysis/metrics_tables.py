@@ -20,6 +20,7 @@ from ffmap.app.analysis.figures import (
 )
 from ffmap.app.tables import make_table
 
+_OF_MAPS_SHOWN = ("precision", "recall", "error_m", "doors_passed", "doors_blocked")
 _MATRICES = (
     ("Labels by area (Table II)", "{}", LABELS, OF_LABEL),
     ("Labels of single scans by area", "single_scan.{}", LABELS, OF_LABEL),
@@ -28,7 +29,7 @@ _MATRICES = (
         "Grid maps against the ground truth (Fig. 9)",
         "maps.{}",
         MAPS,
-        {name: OF_MAP[name] for name in ("precision", "recall", "error_m", "doors_blocked")},
+        {name: own for name, own in OF_MAP.items() if name in _OF_MAPS_SHOWN},
     ),
     (
         "Rooms of maps against the ground truth (Fig. 10)",

@@ -122,7 +122,7 @@ def _write(
     scans: bool,
     progress: Progress,
 ) -> Comparison:
-    """Compare the runs and write the recording: changed points, the runs, what was found."""
+    """Compare the runs and write the recording: changed points, runs, differences."""
     recording_id = str(uuid.uuid4())
     scan_of: dict[int, int] = {}  # by time stamp
     parts = [spool / "changes.rrd"]

@@ -61,13 +61,15 @@ _AGREEMENTS = {
     Agreement.BOTH: "wall in map and ground truth",
     Agreement.ONLY_MAP: "wall in the map only",
     Agreement.ONLY_REFERENCE: "wall in the ground truth only",
-    Agreement.NOT_SEEN: "wall of the ground truth, not seen",
     Agreement.FREE: "free",
     Agreement.NOTHING: "unknown",
 }
 _BY_PRIORITY = (
-    *(Agreement.NOTHING, Agreement.FREE, Agreement.NOT_SEEN),
-    *(Agreement.BOTH, Agreement.ONLY_REFERENCE, Agreement.ONLY_MAP),
+    Agreement.NOTHING,
+    Agreement.FREE,
+    Agreement.BOTH,
+    Agreement.ONLY_REFERENCE,
+    Agreement.ONLY_MAP,
 )
 """Where several cells share a pixel, the last of these is drawn."""
 _DPI, _MAP_PX, _ROOMS_PX = 100, 1200, 1600

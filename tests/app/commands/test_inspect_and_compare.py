@@ -334,7 +334,7 @@ def test_what_a_run_lacks_is_reported_and_the_rest_compared(
     shutil.copy(runs["usual"] / "metrics.json", foreign)
     found = compare(tmp_path / "out3", runs["usual"], foreign)
     reasons = set(found["comparisons"][0]["not_compared"].values())
-    assert reasons == {"the runs labelled clouds of different bags or topics"}
+    assert reasons == {"the runs labelled different bags or topics"}
     assert len(set(found["figures"]["wall.f1"])) == 1
     (foreign / "metrics.json").write_text("[]")
     with pytest.raises(InputError, match=r"metrics\.json: .*no names and values"):
