@@ -101,46 +101,52 @@ def test_a_scan_shows_the_line_its_curve_its_profile_and_why():
     )
 
 
+def titles(root: rrb.Container) -> list[str]:
+    return [str(view.name) for view in views(root)]
+
+
 def test_a_comparison_shows_what_was_compared_and_no_more():
     first = compare.ComparedRun("A", "A: usual", scans=True, map_points=True)
     parts = frozenset({"labels", "trajectory", "walls", "doors", "grid"})
-    other = compare.ComparedRun("B", "B: other", scans=True, map_points=True, compared=parts)
-    layout = compare.build([first, other], scan=17)
-    names = [str(view.name) for view in views(layout.root_container)]
+    other = replace(first, letter="B", title="B: other", compared=parts)
+    found = titles(compare.build([first, other], scan=17).root_container)
     for word in ("Where labels changed, A → B", "its changed points", "Distance of poses", "lost red"):
-        assert any(word in name for name in names)
-    nothing = compare.ComparedRun("B", "B: other", scans=False, map_points=False)
-    bare = compare.build([compare.ComparedRun("A", "A", False, False), nothing])
-    assert [type(view) for view in views(bare.root_container)] == [rrb.TextDocumentView] * 2
+        assert any(word in title for title in found)
+    bare = [compare.ComparedRun(letter, letter, False, False) for letter in "AB"]
+    shown_of_bare = views(compare.build(bare).root_container)
+    assert [type(view) for view in shown_of_bare] == [rrb.TextDocumentView] * 2
     labels_only = compare.ComparedRun("B", "B", True, False, frozenset({"labels"}))
-    shown = [str(view.name) for view in views(compare.build([first, labels_only]).root_container)]
-    assert not any("Walls, doors" in name or "poses" in name for name in shown)
+    found = titles(compare.build([first, labels_only]).root_container)
+    assert not any("Walls, doors" in title or "poses" in title for title in found)
 
 
 def test_a_comparison_opens_on_what_changed_most_and_its_legends_hide_no_curve():
     parts = frozenset({"labels", "trajectory"})
     runs_shown = [compare.ComparedRun(letter, letter, True, True, parts) for letter in "ABC"]
     tabs = compare.build(runs_shown, most_changed="C").root_container
-    assert [str(tab.name) for tab in tabs.contents][tabs.active_tab] == "C against A"
-    assert compare.build(runs_shown).root_container.active_tab == 0
-    layout = compare.build(runs_shown, scans=(10, 110))
-    plots = [view for view in views(layout.root_container) if isinstance(view, rrb.TimeSeriesView)]
+    assert names(tabs)[tabs.active_tab] == "C against A"
+    bare = compare.build(runs_shown).root_container
+    assert bare.active_tab == 0
+    layout = compare.build(runs_shown, scans=(10, 110)).root_container
+    plots, bare_plots = (
+        [view for view in views(root) if isinstance(view, rrb.TimeSeriesView)]
+        for root in (layout, bare)
+    )
     assert len(plots) == 6
     for plot in plots:
-        assert plot.properties["PlotLegend"].corner.as_arrow_array().to_pylist() == [rrb.Corner2D.RightTop.value]
-        (shown,) = plot.properties["TimeAxis"].view_range.as_arrow_array().to_pylist()
-        assert shown["start"] == 10
-        assert shown["end"] == 150
-    bare = [view for view in views(compare.build(runs_shown).root_container) if isinstance(view, rrb.TimeSeriesView)]
-    assert all("TimeAxis" not in plot.properties for plot in bare)
+        corner = plot.properties["PlotLegend"].corner.as_arrow_array().to_pylist()
+        assert corner == [rrb.Corner2D.RightTop.value]
+        (axis,) = plot.properties["TimeAxis"].view_range.as_arrow_array().to_pylist()
+        assert (axis["start"], axis["end"]) == (10, 150)
+    assert all("TimeAxis" not in plot.properties for plot in bare_plots)
 
 
 @pytest.mark.parametrize("scans", [True, False])
 def test_changed_points_are_seen_against_the_scan_or_else_the_map(scans: bool) -> None:
-    compared = frozenset({"labels"})
-    runs = [compare.ComparedRun(letter, letter, scans, map_points=False, compared=compared) for letter in ("A", "B")]
-    layout = compare.build(runs)
-    changed = next(view for view in views(layout.root_container) if str(view.name).startswith("This scan"))
+    parts = frozenset({"labels"})
+    runs = [compare.ComparedRun(k, k, scans, map_points=False, compared=parts) for k in "AB"]
+    found = views(compare.build(runs).root_container)
+    changed = next(view for view in found if str(view.name).startswith("This scan"))
     contents = [str(path) for path in changed.contents]
     assert (runs[0].path(POINTS) in contents) == scans
     assert ("/world/grid/A" in contents) != scans
