@@ -1,6 +1,7 @@
 """Each layout shows what its recording has, and every view has a name."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -110,7 +111,8 @@ def test_a_comparison_shows_what_was_compared_and_no_more():
     parts = frozenset({"labels", "trajectory", "walls", "doors", "grid"})
     other = replace(first, letter="B", title="B: other", compared=parts)
     found = titles(compare.build([first, other], scan=17).root_container)
-    for word in ("Where labels changed, A → B", "its changed points", "Distance of poses", "lost red"):
+    words = ("Where labels changed, A → B", "its changed points", "Distance of poses", "lost red")
+    for word in words:
         assert any(word in title for title in found)
     bare = [compare.ComparedRun(letter, letter, False, False) for letter in "AB"]
     shown_of_bare = views(compare.build(bare).root_container)
