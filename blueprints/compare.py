@@ -95,7 +95,8 @@ def _differences(
         paths = [f"/paths/{own}" for own in (first.letter, letter)]
         where.append(space(name, [grid, *changed, *paths], above, origin="/"))
     if "trajectory" in other.compared:
-        when.append(_curve("/changes/{}/pose_distance_m", other, "Distance of poses, metres", scans))
+        title = "Distance of poses, metres"
+        when.append(_curve("/changes/{}/pose_distance_m", other, title, scans))
     if len(when) > 2:
         when = [*when[:2], rrb.Tabs(*when[2:])]
     columns = [rrb.Vertical(*part) for part in (where, when) if part]

@@ -82,7 +82,7 @@ def test_a_killed_sweep_repeats_no_finished_run_and_no_odometry(
         assert (out / name / "run.json").stat().st_mtime_ns == changed_ns
     assert all(record["outcome"] == "complete" for record in after.values())
     # One of the drive, and one of its first seconds for the extrinsics.
-    assert len(list(Path(environment["FFMAP_CACHE"]).glob("odometry/*/complete"))) == 2
+    assert len(list(Path(environment["FFMAP_CACHE"]).glob("odometry/*.zip"))) == 2
     assert f"2 of 2 runs, {len(before)} of them were finished" in printed
     assert "compare:" in printed
 
