@@ -309,7 +309,7 @@ def simulate(
     building: Annotated[
         str,
         Option(
-            help="Kind of building: small, office, ell, angled, lab; or drawn from wide ranges: "
+            help="Kind of building: small, office, ell, angled, lab; or from wider ranges: "
             "dwelling, workplace, institution."
         ),
     ] = "office",
@@ -317,7 +317,8 @@ def simulate(
         int, Option(min=0, help="Seed of building, furniture and drive.")
     ] = 0,
     sensor: Annotated[
-        str | None, Option(help="hdl32e, vlp16, os1-16, os0-128, qt64 or xt32.  [default: hdl32e]")
+        str | None,
+        Option(help="hdl32e, vlp16, os1-16, os0-128, qt64, xt32, mid360.  [default: hdl32e]"),
     ] = None,
     lidars: Annotated[
         str | None,
@@ -338,7 +339,7 @@ def simulate(
         list[str] | None,
         Option(
             "--set",
-            help="Any other property, as in clutter=0.5. An unknown name lists all.",
+            help="Any other setting, as in clutter=0.5. An unknown name lists all.",
         ),
     ] = None,
     quiet: shared.Quiet = False,

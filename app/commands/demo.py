@@ -1,4 +1,4 @@
-"""ffmap demo: a small building simulated and mapped, to see what the program does."""
+"""ffmap demo: simulate a small building and map it."""
 
 import time
 from pathlib import Path
@@ -19,17 +19,17 @@ SECONDS = 16.0
 
 
 def demo(out: Path) -> None:
-    """Simulate `out`/small.bag anew, run on it into `out`/run, say where everything lies.
+    """Simulate `out`/small.bag, map it in `out`/run, and print the command that views it.
 
-    Raises InputError where nothing can be written there.
+    Raises InputError if `out` cannot be written, or holds another bag of this name.
     """
     started = time.monotonic()
     require_writable(out, "give another folder to --out")
     bag, run = out / "small.bag", out / "run"
     if bag.exists():
-        # A demonstration before this one has made it, if its run says so.
+        # Only a bag of an earlier demonstration is replaced.
         if not (run / RUN_JSON).exists() or open_run(run).bag_path != BagPath((bag.resolve(),)):
-            raise InputError(f"{bag}: is there already; remove it, or give another folder to --out")
+            raise InputError(f"{bag}: exists already; remove it, or give another folder to --out")
         bag.unlink()
     typer.echo(f"simulating {SECONDS:.0f} s of driving in a small furnished building ...")
     simulate(bag, {"building": "small", "seed": 3, "duration_s": SECONDS})
@@ -37,6 +37,5 @@ def demo(out: Path) -> None:
     run_command.run(BagPath((bag,)), Settings(), RunOptions(), out=run, overwrite=True)
     typer.echo(f"\ndone in {time.monotonic() - started:.0f} s. Look at every scan, step by step:\n")
     typer.echo(f"    {view_command(run)}\n")
-    typer.echo(
-        f"Your own bag: {own_command()} run BAG; '{own_command()} info BAG' says what it lacks, if anything."
-    )
+    command = own_command()
+    typer.echo(f"Your own bag: '{command} run BAG'; '{command} info BAG' lists what it lacks.")

@@ -1,4 +1,4 @@
-"""ffmap simulate: a real bag of a generated building."""
+"""ffmap simulate: a bag of a generated building, with its ground truth."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,12 +15,14 @@ if TYPE_CHECKING:
     from ffmap.loaders.simulator import SimulationSettings
 
 
-def simulate(out: Path, values: Mapping[str, Any], overrides: Sequence[str] = (), quiet: bool = True) -> None:
-    """Simulate and say what came of it; raises InputError for a value that does not fit.
+def simulate(
+    out: Path, values: Mapping[str, Any], overrides: Sequence[str] = (), quiet: bool = True
+) -> None:
+    """Simulate a drive and print the command that maps it. Raises InputError for a wrong setting.
 
-    values: properties of the simulation. overrides: more of them, as --set takes them.
+    overrides: further settings, as --set takes them.
     """
-    # Embree is loaded by nothing else.
+    # Only this command loads Embree.
     from ffmap.loaders.simulator import simulate as write_bag
 
     settings = _settings(dict(values), overrides)
@@ -36,8 +38,8 @@ def simulate(out: Path, values: Mapping[str, Any], overrides: Sequence[str] = ()
 
         write_bag(out, settings, report)
     if not quiet:
-        drive = f"{settings.duration_s:.0f} s in building {settings.building!r}, seed {settings.seed}"
-        typer.echo(f"{out}: {drive}; run 'ffmap run {out}'")
+        drive = f"{settings.duration_s:.0f} s in building {settings.building!r}"
+        typer.echo(f"{out}: {drive}, seed {settings.seed}; run 'ffmap run {out}'")
 
 
 def _settings(values: dict[str, Any], overrides: Sequence[str]) -> "SimulationSettings":
@@ -47,19 +49,16 @@ def _settings(values: dict[str, Any], overrides: Sequence[str]) -> "SimulationSe
         name, equals, text = override.partition("=")
         if not equals:
             raise InputError(f"--set {override}: write it as name=value, as in clutter=0.5")
-        # One dot at most: properties have no more levels.
-        name, _, inner = name.strip().partition(".")
-        value = parse_value(text.strip())
-        said = values.get(name)
-        values[name] = {**(said if isinstance(said, dict) else {}), inner: value} if inner else value
+        values[name.strip()] = parse_value(text.strip())
     try:
         return SimulationSettings.model_validate(values)
     except ValidationError as error:
         first = error.errors()[0]
-    name, known = ".".join(str(part) for part in first["loc"]), dict(SimulationSettings.model_fields)
-    if first["loc"][0] == "drawn":
-        known = {f"drawn.{own}": field for own, field in type(SimulationSettings().drawn).model_fields.items()}
+    known = SimulationSettings.model_fields
+    name = str(first["loc"][0]) if first["loc"] else "settings"
     if first["type"] == "extra_forbidden":
-        raise InputError(f"simulate: there is no property {name!r}; the properties are {', '.join(known)}")
-    meant = f" ({known[name].description})" if name in known and known[name].description else ""
-    raise InputError(f"simulate: {name} = {first['input']!r}: {first['msg']}{meant}; give another value")
+        names = ", ".join(known)
+        raise InputError(f"simulate: there is no setting {name!r}; the settings are {names}")
+    meaning = f" ({known[name].description})" if name in known else ""
+    given = "" if not first["loc"] else f" = {values.get(name)!r}"
+    raise InputError(f"simulate: {name}{given}: {first['msg']}{meaning}; give another value")

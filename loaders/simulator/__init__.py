@@ -1,8 +1,7 @@
-"""Real bags from generated buildings: two lidars on a robot that drives in and out of rooms, with the truth."""
+"""Bags of a robot that drives through a generated building, with the ground truth."""
 
 from ffmap.loaders.simulator.layouts import LAYOUTS
-from ffmap.loaders.simulator.plans import BUILDINGS
-from ffmap.loaders.simulator.settings import SimulationSettings
-from ffmap.loaders.simulator.simulate import SimulationReport, simulate
+from ffmap.loaders.simulator.settings import PRESETS, SimulationSettings
+from ffmap.loaders.simulator.simulate import simulate
 
-__all__ = ["BUILDINGS", "LAYOUTS", "SimulationReport", "SimulationSettings", "simulate"]
+__all__ = ["LAYOUTS", "PRESETS", "SimulationSettings", "simulate"]

@@ -1,7 +1,7 @@
-"""The lidars: where their emitters point, when they fire, how well they measure, and where the robot carries them."""
+"""The lidars: directions of emitters, times of firings, errors, and extrinsics."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -10,57 +10,60 @@ from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.loaders.simulator.mesh import Rng
 from ffmap.loaders.simulator.settings import Sensor, SimulationSettings
 
 PointLayout = Literal["velodyne", "ouster", "hesai", "packets", "livox"]
+Role = Literal["horizontal", "vertical", "both"]
+Extrinsics = tuple[str, str, FloatArray]
+"""Topic, frame, T_base_sensor."""
 
 
 @dataclass(frozen=True)
 class Nodding:
-    """A beam that turns fast about the upright and nods slowly: the pattern of a Livox Mid-360, which does not repeat.
+    """A beam that turns fast about the vertical and nods slowly (Livox Mid-360).
 
-    The table of directions that Livox published for its simulator (https://github.com/Livox-SDK/livox_laser_simulation,
-    mid360.csv, 5 µs a row) shows about 180 turns and 10 nods a second, four lines 1.7° apart. Simplified: in the table each
-    turn leans by some degrees and the lines' azimuths spread by as much; here turns lie level, one line above the other.
-
-    turn_hz, nod_hz: have no common multiple with each other and the clouds' rate. middle_deg, swing_deg: of the nodding, a sine.
+    Livox' table of directions (https://github.com/Livox-SDK/livox_laser_simulation, mid360.csv,
+    5 µs a row) shows about 180 turns and 10 nods a second, and four lines 1.7° apart. Simplified:
+    turns are level, and the lines are above each other. The rates have no common multiple with the
+    rate of the clouds.
     """
 
-    turn_hz: float
-    nod_hz: float
-    middle_deg: float
-    swing_deg: float
+    turn_hz: float = 179.63
+    nod_hz: float = 9.8717
+    middle_deg: float = 22.5
+    swing_deg: float = 26.95
 
     def look(self, time_ns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Azimuth and elevation of the beam in radians."""
+        """Return azimuth and elevation of the beam (rad)."""
         time_s = time_ns / 1e9
         nod = np.sin(2 * np.pi * self.nod_hz * time_s)
-        return -2 * np.pi * self.turn_hz * time_s, np.radians(self.middle_deg + self.swing_deg * nod)
+        azimuth = -2 * np.pi * self.turn_hz * time_s
+        return azimuth, np.radians(self.middle_deg + self.swing_deg * nod)
 
 
 @dataclass(frozen=True)
 class SensorModel:
     """A spinning lidar.
 
-    elevation_deg: of each emitter about the spin axis, increasing (ring 0 is the lowest); where it nods, against the beam.
-    columns: firings of each emitter a revolution. rate_hz: revolutions a second.
-    column_ns: nanoseconds that all emitters take, one after the other, before the next column.
-    noise_m: sigma of a range at right angles. max_range_m: of a white wall at right angles.
-    layout: how it fires and what its driver reports: in turns and returns alone, or all emitters at once and every place;
-        "livox": one after the other and every place.
-    nodding: how its beam moves; None where it turns at the rate of its clouds.
+    elevation_deg: of each emitter about the spin axis, ascending (ring 0 is the lowest).
+    columns: firings of each emitter per revolution. rate_hz: revolutions per second.
+    column_ns: time in which all emitters fire, one after the other.
+    noise_m: sigma of a range at normal incidence. max_range_m: of a white wall there.
+    layout: "velodyne" fires interleaved and reports returns only; "ouster" fires all emitters at
+        once and reports every place; "livox" fires one after the other and reports every place.
+    nodding: motion of the beam, if it does not turn once per cloud.
     """
 
-    name: Sensor
     elevation_deg: tuple[float, ...]
     columns: int
-    rate_hz: float
     column_ns: float
     noise_m: float
     max_range_m: float
     quantum_m: float
     layout: Literal["velodyne", "ouster", "livox"]
     nodding: Nodding | None = None
+    rate_hz: float = 10.0
 
     @property
     def rings(self) -> int:
@@ -68,25 +71,23 @@ class SensorModel:
 
     @property
     def firing_order(self) -> IntArray:
-        """(rings,) the ring of each firing of a column: Velodynes fire the lower and upper half in turns, Ousters all
-        at once, the uppermost first in their rows.
-        """
-        if self.layout == "ouster":
-            return np.arange(self.rings)[::-1]
-        if self.layout == "livox":
-            return np.arange(self.rings)
-        return np.arange(self.rings).reshape(2, -1).T.ravel()
+        """Ring (rings,) of each firing of a column."""
+        order = np.arange(self.rings)
+        if self.layout == "velodyne":
+            return order.reshape(2, -1).T.ravel()
+        return order[::-1] if self.layout == "ouster" else order
 
     @cached_property
     def firing_ns(self) -> FloatArray:
-        """(columns, rings) nanoseconds from the sweep's start, in firing order; at the nominal rate."""
+        """Time (columns, rings) since the sweep's start, in firing order, at the nominal rate."""
         column = np.arange(self.columns)[:, None] * (1e9 / self.rate_hz / self.columns)
         spread = 0.0 if self.layout == "ouster" else self.column_ns / self.rings
         return np.asarray(column + np.arange(self.rings) * spread)
 
     def directions_sensor(self, start_ns: int) -> FloatArray:
-        """(columns, rings, 3) float32 unit vectors of the sweep that begins then, in firing order; the sensor spins clockwise,
-        z is its axis.
+        """Return unit vectors (columns, rings, 3), float32, of the sweep that starts then.
+
+        In firing order; the sensor spins clockwise about z.
         """
         if self.nodding is None:
             return self._repeated_directions
@@ -95,7 +96,8 @@ class SensorModel:
 
     @cached_property
     def _repeated_directions(self) -> FloatArray:
-        return _unit_vectors(-self.firing_ns * (2 * np.pi * self.rate_hz / 1e9), self._elevation_rad)
+        azimuth = -self.firing_ns * (2 * np.pi * self.rate_hz / 1e9)
+        return _unit_vectors(azimuth, np.broadcast_to(self._elevation_rad, azimuth.shape))
 
     @property
     def _elevation_rad(self) -> FloatArray:
@@ -104,40 +106,25 @@ class SensorModel:
 
 def _unit_vectors(azimuth: FloatArray, elevation: FloatArray) -> FloatArray:
     flat = np.cos(elevation)
-    up = np.broadcast_to(np.sin(elevation), azimuth.shape)
-    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), up], -1).astype(np.float32)
+    vectors = [flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)]
+    return np.stack(vectors, -1).astype(np.float32)
 
 
-SENSORS: dict[Sensor, SensorModel] = {
+def _spread(lowest_deg: float, highest_deg: float, rings: int) -> tuple[float, ...]:
+    return tuple(np.linspace(lowest_deg, highest_deg, rings).tolist())
+
+
+_SENSORS: dict[Sensor, SensorModel] = {
     "hdl32e": SensorModel(
-        "hdl32e", tuple(-92 / 3 + i * 4 / 3 for i in range(32)), 2170, 10.0, 46_080.0, 0.015, 80.0, 0.002, "velodyne"
+        _spread(-92 / 3, 32 / 3, 32), 2170, 46_080.0, 0.015, 80.0, 0.002, "velodyne"
     ),
-    "vlp16": SensorModel(
-        "vlp16", tuple(-15.0 + 2.0 * i for i in range(16)), 1808, 10.0, 55_296.0, 0.010, 80.0, 0.002, "velodyne"
-    ),
-    "os1-16": SensorModel(
-        "os1-16", tuple(np.linspace(-16.6, 16.6, 16)), 1024, 10.0, 97_656.0, 0.012, 60.0, 0.001, "ouster"
-    ),
-    "os0-128": SensorModel(
-        "os0-128", tuple(np.linspace(-45.0, 45.0, 128)), 1024, 10.0, 97_656.0, 0.015, 50.0, 0.001, "ouster"
-    ),
-    "qt64": SensorModel(
-        "qt64", tuple(np.linspace(-52.1, 52.1, 64)), 600, 10.0, 108_800.0, 0.015, 40.0, 0.004, "velodyne"
-    ),
-    "xt32": SensorModel(
-        "xt32", tuple(-16.0 + i for i in range(32)), 2000, 10.0, 46_000.0, 0.010, 80.0, 0.004, "velodyne"
-    ),
+    "vlp16": SensorModel(_spread(-15, 15, 16), 1808, 55_296.0, 0.010, 80.0, 0.002, "velodyne"),
+    "os1-16": SensorModel(_spread(-16.6, 16.6, 16), 1024, 97_656.0, 0.012, 60.0, 0.001, "ouster"),
+    "os0-128": SensorModel(_spread(-45, 45, 128), 1024, 97_656.0, 0.015, 50.0, 0.001, "ouster"),
+    "qt64": SensorModel(_spread(-52.1, 52.1, 64), 600, 108_800.0, 0.015, 40.0, 0.004, "velodyne"),
+    "xt32": SensorModel(_spread(-16, 15, 32), 2000, 46_000.0, 0.010, 80.0, 0.004, "velodyne"),
     "mid360": SensorModel(
-        "mid360",
-        (-2.55, -0.85, 0.85, 2.55),
-        5000,
-        10.0,
-        20_000.0,
-        0.020,
-        70.0,
-        0.001,
-        "livox",
-        Nodding(turn_hz=179.63, nod_hz=9.8717, middle_deg=22.5, swing_deg=26.95),
+        _spread(-2.55, 2.55, 4), 5000, 20_000.0, 0.020, 70.0, 0.001, "livox", Nodding()
     ),
 }
 
@@ -146,14 +133,13 @@ SENSORS: dict[Sensor, SensorModel] = {
 class Lidar:
     """One of the robot's lidars.
 
-    role: horizontal = spin axis upright (odometry), vertical = swept floor, walls and ceiling (its spin axis forward, or upright
-        where it opens wide), or both where an upright one is alone or has another beside it.
-    period_ns: of a revolution; two differ. phase_ns: its first sweep's start after the horizontal one's.
-    points: how its driver lays out its clouds: "hesai" with absolute times, "packets" as one cloud of x y z a UDP packet.
-    number: its place among the robot's lidars.
+    role: horizontal (spin axis vertical, for localization), vertical (for mapping), or both.
+    period_ns: of a revolution; no two are equal. phase_ns: start of its first sweep, from the
+        horizontal lidar's. points: layout of its clouds: "hesai" with absolute times, "packets" as
+        one cloud of x y z per UDP packet.
     """
 
-    role: Literal["horizontal", "vertical", "both"]
+    role: Role
     topic: str
     frame_id: str
     model: SensorModel
@@ -164,63 +150,70 @@ class Lidar:
     number: int = 0
 
     def sweep_start_ns(self, sweep: int) -> int:
-        """Nanoseconds from the horizontal lidar's first sweep."""
+        """Return the time from the horizontal lidar's first sweep."""
         return self.phase_ns + round(sweep * self.period_ns)
 
 
-_NAMES: dict[PointLayout, tuple[str, str, str]] = {
+def sensor_model(name: Sensor, settings: SimulationSettings) -> SensorModel:
+    """Return a sensor with the range noise of the settings."""
+    model = _SENSORS[name]
+    return model if settings.noise_m is None else replace(model, noise_m=settings.noise_m)
+
+
+_NAMES = {
     "velodyne": ("velodyne", "velodyne_points", "velodyne"),
     "ouster": ("ouster", "points", "os_sensor"),
     "livox": ("livox", "lidar", "livox_frame"),
 }
-"""By driver: the maker's name in topics and frames, what the clouds' topics end in, and the frame of a lidar that is alone."""
+"""By layout: name in topics and frames, name of the clouds, and frame of a lidar that is alone."""
 
 
-def mount_lidars(settings: SimulationSettings, rng: np.random.Generator) -> tuple[Lidar, ...]:
-    """The lidars that the settings ask for, the one that gives the poses first."""
-    model = SENSORS[settings.sensor]
+def place_lidars(settings: SimulationSettings, rng: Rng) -> tuple[Lidar, ...]:
+    """Return the lidars of the settings, the one for localization first."""
+    model = sensor_model(settings.sensor, settings)
     maker, clouds, alone = _NAMES[model.layout]
 
-    def mount(place: str, rotation: Rotation | None, at: list[float]) -> tuple[str, str, FloatArray]:
-        return f"/{place}_{maker}/{clouds}", f"{place}_{maker}", transforms.make_transform(rotation, at)
+    def place(name: str, at: list[float], rotation: Rotation | None = None) -> Extrinsics:
+        T = transforms.make_transform(rotation, at)
+        return f"/{name}_{maker}/{clouds}", f"{name}_{maker}", T
 
-    # A beam that opens 7 degrees downwards meets the floor at 8 times its height.
+    # A field of view that ends 7° below the horizon meets the floor at 8 times its height.
     height_m = 0.40 if model.nodding else 0.95
     forward = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
     tilted = Rotation.from_euler("y", settings.mount_tilt_deg, degrees=True) * forward
-    horizontal = mount("horizontal", None, [0.10, 0.0, height_m])
+    outwards = Rotation.from_euler("z", 30, degrees=True)
+    horizontal = place("horizontal", [0.10, 0.0, height_m])
     match settings.lidars:
         case "one":
-            mounts = [(f"/{maker}/{clouds}" if model.layout != "velodyne" else f"/{clouds}", alone, horizontal[2])]
+            topic = f"/{clouds}" if model.layout == "velodyne" else f"/{maker}/{clouds}"
+            placed = [(topic, alone, horizontal[2])]
         case "two":
-            mounts = [horizontal, mount("vertical", tilted, [0.30, 0.0, 0.70])]
+            placed = [horizontal, place("vertical", [0.30, 0.0, 0.70], tilted)]
         case "three":
-            # Turned outwards by 30 degrees: a wall square to the way is then swept before the robot has come to it.
-            mounts = [
+            # A wall across the way is then swept before the robot reaches it.
+            placed = [
                 horizontal,
-                mount("left", Rotation.from_euler("z", 30, degrees=True) * tilted, [0.20, 0.20, 0.70]),
-                mount("right", Rotation.from_euler("z", -30, degrees=True) * tilted, [0.20, -0.20, 0.70]),
+                place("left", [0.20, 0.20, 0.70], outwards * tilted),
+                place("right", [0.20, -0.20, 0.70], outwards.inv() * tilted),
             ]
         case "upright":
-            mounts = [mount("front", None, [0.25, 0.0, height_m]), mount("rear", None, [-0.25, 0.0, height_m])]
+            placed = [place("front", [0.25, 0.0, height_m]), place("rear", [-0.25, 0.0, height_m])]
     both = settings.lidars in ("one", "upright")
-    return start_lidars(model, model.layout, mounts, rng, both)
+    return start_lidars(model, model.layout, placed, rng, both)
 
 
 def start_lidars(
-    model: SensorModel,
-    points: PointLayout,
-    mounts: Sequence[tuple[str, str, FloatArray]],
-    rng: np.random.Generator,
-    both: bool,
+    model: SensorModel, points: PointLayout, placed: Sequence[Extrinsics], rng: Rng, both: bool
 ) -> tuple[Lidar, ...]:
-    """Lidars of one model, whose clocks run free. mounts: topic, frame and T_base_sensor of the one that gives the poses, and of
-    those that are labelled. both: whether the first is labelled too.
+    """Return lidars of one model with free-running clocks.
+
+    placed: the lidar for localization first. both: it is for mapping too.
     """
     nominal_ns = 1e9 / model.rate_hz
-    topic, frame, T = mounts[0]
-    lidars = [Lidar("both" if both else "horizontal", topic, frame, model, T, nominal_ns * 1.0007, 0, points)]
-    for number, (topic, frame, T) in enumerate(mounts[1:], start=1):
-        phase_ns, period_ns = int(rng.uniform(0, nominal_ns)), nominal_ns * (0.9993 - 0.0004 * number)
-        lidars.append(Lidar("vertical", topic, frame, model, T, period_ns, phase_ns, points, number))
+    lidars = []
+    for number, (topic, frame, T) in enumerate(placed):
+        role: Role = "vertical" if number else "both" if both else "horizontal"
+        phase_ns = int(rng.uniform(0, nominal_ns)) if number else 0
+        period_ns = nominal_ns * (0.9993 - 0.0004 * number if number else 1.0007)
+        lidars.append(Lidar(role, topic, frame, model, T, period_ns, phase_ns, points, number))
     return tuple(lidars)

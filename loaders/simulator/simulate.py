@@ -1,11 +1,11 @@
-"""One simulated drive: a building is drawn and furnished, the robot drives through it, its lidars fill a bag."""
+"""Simulate a drive: draw and furnish a building, drive through it, write a bag."""
 
 import json
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from heapq import merge
 from itertools import islice
 from operator import itemgetter
@@ -19,61 +19,39 @@ from shapely.geometry.base import BaseGeometry
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.loaders.errors import InputError
 from ffmap.loaders.frames import StaticTransform
 from ffmap.loaders.numbered import numbered
 from ffmap.loaders.simulator.bag_writing import DriveWriter
-from ffmap.loaders.simulator.building import Plan, build_structure
-from ffmap.loaders.simulator.drawn.draw import build_in, check_kind, draw_drawn_plan, with_ramp
-from ffmap.loaders.simulator.drawn.elements import DrawnPlan
-from ffmap.loaders.simulator.drawn.furnishings import furnish_drawn
-from ffmap.loaders.simulator.drawn.ranges import KINDS, ranges_of
-from ffmap.loaders.simulator.drawn.structure import build_drawn
-from ffmap.loaders.simulator.drawn.truth import drawn_truth
-from ffmap.loaders.simulator.furniture import build_outside, furnish
-from ffmap.loaders.simulator.layouts import Layout, layout_of, lidars_of, rig_of
-from ffmap.loaders.simulator.mesh import Mesh, MeshBuilder
-from ffmap.loaders.simulator.motion import ROBOT_RADIUS_M, Ways, choose_route, draw_ways, drive
-from ffmap.loaders.simulator.plans import BUILDINGS, draw_plan
+from ffmap.loaders.simulator.built_in import build_in, draw_plan
+from ffmap.loaders.simulator.furniture import furnish
+from ffmap.loaders.simulator.layouts import layout_of, lidars_of, rig_of
+from ffmap.loaders.simulator.mesh import Mesh, MeshBuilder, Rng
+from ffmap.loaders.simulator.motion import ROBOT_RADIUS_M, choose_route, draw_ways, drive
+from ffmap.loaders.simulator.plan import Plan
 from ffmap.loaders.simulator.raytrace import Sweep, Walker, World, scan
 from ffmap.loaders.simulator.sensors import Lidar
 from ffmap.loaders.simulator.settings import SimulationSettings
+from ffmap.loaders.simulator.structure import build_outside, build_structure
 from ffmap.loaders.simulator.terrain import Terrain, draw_terrain
 from ffmap.loaders.simulator.truth import building_truth
-from ffmap.loaders.truth import CLASSES_TOPIC
+from ffmap.loaders.truth import BUILDING_TOPIC, CLASSES_TOPIC, POSE_TOPIC
 
-BASE_FRAME = "base_link"
-EPOCH_NS = 1_700_000_000_000_000_000  # When every simulated drive begins
+EPOCH_NS = 1_700_000_000_000_000_000  # Start of every simulated drive
 
-_CLEARANCE_M = 0.15  # Distance between furniture and the robot
+_CLEARANCE_M = 0.15  # Between furniture and the robot
 _PACKET_COLUMNS = 12
 _PACKET_DELAY_NS = 400_000  # From a packet's last firing to the recorder
-_ROBOTS_ODOMETRY = "odom"
 
-_Timed = tuple[
-    int, str, Any
-]  # When a message is due, in nanoseconds from the first horizontal sweep; its topic; itself
-
-
-@dataclass(frozen=True)
-class SimulationReport:
-    """What was written. clouds and points: by topic. duration_s: length of the drive."""
-
-    path: Path
-    building: str
-    rooms: int
-    doors: int
-    triangles: int
-    clouds: dict[str, int]
-    points: dict[str, int]
-    size_bytes: int
-    duration_s: float
+_Timed = tuple[int, str, Any]
+"""Time since the first horizontal sweep (ns) at which a message is recorded, topic, message."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything there is before the first ray. mesh, trajectory (T_map_base, stamps from the first horizontal sweep)
-    and truth (GeoJSON) are in the map's frame. furniture: the floor it covers, in the plan's frame.
+    """Everything that exists before the first ray.
+
+    mesh, trajectory (T_map_base, stamps from the first horizontal sweep) and truth (GeoJSON) are in
+    the map's frame. furniture: the floor it covers, in the plan's frame.
     """
 
     plan: Plan
@@ -82,236 +60,162 @@ class Scene:
     walkers: tuple[Walker, ...]
     base_frame: str
     lidars: tuple[Lidar, ...]
-    ring_bias_m: tuple[FloatArray, ...]
     trajectory: Trajectory
     T_map_plan: FloatArray
     truth: dict[str, Any]
 
 
 def draw_scene(settings: SimulationSettings) -> Scene:
-    """Building, furniture, people, lidars and drive, all from the settings and their seed.
+    """Draw the building, furniture, people, lidars and drive from the settings and their seed.
 
-    Raises InputError where there is no building or no layout of the name.
+    Raises InputError if there is no layout of the name.
     """
-    # A stream for each part, so that one more door does not move every chair.
+    # One stream for each part, so that one more door does not move every chair.
     plan_rng, structure_rng, furniture_rng, outside_rng, drive_rng, sensor_rng = (
         np.random.default_rng([settings.seed, part]) for part in range(6)
     )
-    builder = MeshBuilder()
-    build = _build_drawn if _is_drawn(settings) else _build_named
-    plan, ways, terrain, furniture = build(settings, builder, plan_rng, structure_rng, furniture_rng)
-    build_outside(plan, builder, outside_rng)
+    layout, lidars = layout_of(settings), lidars_of(settings, sensor_rng)
+    plan = draw_plan(settings, plan_rng)
+    ways = draw_ways(plan, plan_rng)
+    clear = ways.area(ROBOT_RADIUS_M + _CLEARANCE_M)
+    plan = build_in(plan, clear, settings, plan_rng)
+    terrain = draw_terrain(plan.corridor, settings, plan_rng)
 
-    avoid = furniture.union(ways.area(ROBOT_RADIUS_M))
-    lidars = lidars_of(settings, sensor_rng)
-    layout = layout_of(settings)
-    T_floor_base = transforms.make_transform(translation=[0.0, 0.0, layout.base_height_m if layout else 0.0])
+    builder = MeshBuilder()
+    build_structure(plan, builder, structure_rng)
+    build_outside(plan, builder, outside_rng)
+    furniture = furnish(plan, clear, settings.clutter, builder, furniture_rng)
+
     longest_s = settings.duration_s + 2 * max(lidar.period_ns for lidar in lidars) / 1e9
-    drive_plan = terrain.lift_drive(drive(choose_route(ways, settings), longest_s, settings, drive_rng))
-    T_plan_map = transforms.from_yaw(transforms.yaw_of(drive_plan.T_map_base[0]), drive_plan.T_map_base[0, :3, 3])
-    T_map_plan = transforms.invert(T_plan_map)
-    mesh = terrain.lift_mesh(builder.build()).warped(lambda vertices: transforms.apply(T_map_plan, vertices))
+    level = drive(choose_route(ways, settings), longest_s, settings, drive_rng)
+    driven = terrain.lift_drive(level)
+    first = driven.T_map_base[0]
+    T_map_plan = transforms.invert(transforms.from_yaw(transforms.yaw_of(first), first[:3, 3]))
+    height_m = layout.base_height_m if layout else 0.0
+    T_floor_base = transforms.make_transform(translation=[0.0, 0.0, height_m])
+    lifted = terrain.lift_mesh(builder.build())
+    avoid = furniture.union(ways.area(ROBOT_RADIUS_M))
     return Scene(
         plan=plan,
-        mesh=mesh,
+        mesh=lifted.warped(lambda vertices: transforms.apply(T_map_plan, vertices)),
         furniture=furniture,
-        walkers=_walkers(plan, terrain, avoid, settings, T_map_plan, furniture_rng),
-        base_frame=(rig_of(settings.layout).base if layout else None) or BASE_FRAME,
+        walkers=_draw_walkers(plan, terrain, avoid, settings, T_map_plan, furniture_rng),
+        base_frame=(rig_of(settings.layout).base if layout else None) or "base_link",
         lidars=lidars,
-        ring_bias_m=tuple(sensor_rng.normal(0, settings.ring_bias_m, lidar.model.rings) for lidar in lidars),
-        trajectory=_carried(drive_plan.moved(T_map_plan), T_floor_base),
+        trajectory=Trajectory(driven.stamp_ns, T_map_plan @ driven.T_map_base @ T_floor_base),
         T_map_plan=T_map_plan,
-        truth=drawn_truth(plan, T_map_plan) if isinstance(plan, DrawnPlan) else building_truth(plan, T_map_plan),
+        truth=building_truth(plan, T_map_plan),
     )
 
 
-_Built = tuple[Plan, Ways, Terrain, BaseGeometry]  # The last: the floor that furniture covers
-
-
-def _is_drawn(settings: SimulationSettings) -> bool:
-    """Whether the building is drawn from ranges. Raises InputError where there is none of the name, or where its kind has no
-    property that is asked for.
-    """
-    known = [*BUILDINGS, *KINDS]
-    if settings.building not in known:
-        close = get_close_matches(settings.building, known, 1)
-        hint = f"did you mean '{close[0]}'? There" if close else "there"
-        raise InputError(f"--building '{settings.building}': no such building; {hint} are {', '.join(known)}")
-    check_kind(settings)
-    return settings.building in KINDS
-
-
-def _build_named(
-    settings: SimulationSettings, mesh: MeshBuilder, plan_rng: np.random.Generator, structure_rng: np.random.Generator,
-    furniture_rng: np.random.Generator
-) -> _Built:  # fmt: skip
-    plan = draw_plan(settings, plan_rng)
-    ways = draw_ways(plan, plan_rng)
-    build_structure(plan, mesh, structure_rng)
-    furniture = furnish(plan, ways.area(ROBOT_RADIUS_M + _CLEARANCE_M), settings.clutter, mesh, furniture_rng)
-    return plan, ways, draw_terrain(plan.corridor, settings, plan_rng), furniture
-
-
-def _build_drawn(
-    settings: SimulationSettings, mesh: MeshBuilder, plan_rng: np.random.Generator, structure_rng: np.random.Generator,
-    furniture_rng: np.random.Generator
-) -> _Built:  # fmt: skip
-    empty = draw_drawn_plan(settings, plan_rng)
-    ways = draw_ways(empty, plan_rng)
-    clear = ways.area(ROBOT_RADIUS_M + _CLEARANCE_M)
-    plan = build_in(empty, clear, settings, plan_rng)
-    build_drawn(plan, mesh, structure_rng)
-    ranges = ranges_of(settings.building, settings.drawn)
-    furniture = furnish_drawn(plan, clear, settings.clutter, ranges, mesh, furniture_rng)
-    ramped, gradient = with_ramp(settings, plan_rng)
-    return plan, ways, draw_terrain(plan.corridor, ramped, plan_rng, gradient), furniture
-
-
-def _walkers(
-    plan: Plan, terrain: Terrain, avoid: BaseGeometry, settings: SimulationSettings, T_map_plan: FloatArray,
-    rng: np.random.Generator
+def _draw_walkers(
+    plan: Plan, terrain: Terrain, avoid: BaseGeometry, settings: SimulationSettings,
+    T_map_plan: FloatArray, rng: Rng
 ) -> tuple[Walker, ...]:  # fmt: skip
-    """People who walk back and forth where nothing stands in their way and the robot does not drive."""
+    """Draw people who walk back and forth, clear of furniture and of the robot."""
     space = plan.free.difference(avoid).buffer(-0.25)
-    x0, y0, x1, y1 = space.bounds
     walkers: list[Walker] = []
     for _ in range(2000):
-        if len(walkers) == settings.walking_people:
+        if space.is_empty or len(walkers) == settings.walking_people:
             break
-        start = np.array([rng.uniform(x0, x1), rng.uniform(y0, y1)])
-        heading, length = rng.uniform(0, 2 * np.pi), rng.uniform(1.0, 5.0)
+        start = rng.uniform(*np.reshape(space.bounds, (2, 2)))
+        # Half of them beside the robot, along the corridor.
+        heading, length = rng.choice([0.0, rng.uniform(0, 2 * np.pi)]), rng.uniform(1.0, 5.0)
         ends = np.array([start, start + length * np.array([np.cos(heading), np.sin(heading)])])
         if space.contains(shapely.LineString(ends)):
-            start, end = transforms.apply(T_map_plan, np.c_[ends, terrain.height(ends)])
-            walkers.append(Walker(start, end, rng.uniform(0.7, 1.4), rng.uniform(), rng.uniform(1.6, 1.9)))
+            places = transforms.apply(T_map_plan, np.c_[ends, terrain.height(ends)])
+            speed, phase, height = rng.uniform([0.7, 0.0, 1.6], [1.4, 1.0, 1.9]).tolist()
+            walkers.append(Walker(places[0], places[1], speed, phase, height))
     return tuple(walkers)
 
 
 def simulate(
     out: Path, settings: SimulationSettings, progress: Callable[[float], None] | None = None
-) -> SimulationReport:
-    """Write the bag of one drive at `out`: a file (bag) or a folder (mcap, db3). progress: called with the share that
-    is done, 0 to 1. Raises InputError where there is no such building, or `out` exists or cannot be written.
+) -> None:
+    """Write the bag of one drive: a file (bag) or a folder (mcap, db3).
+
+    progress: called with the share done, 0 to 1. Raises InputError if there is no layout of the
+    name, or if `out` exists or cannot be written.
     """
-    clouds: dict[str, int] = {}
-    points: dict[str, int] = {}
     with DriveWriter(out, settings.format) as writer:
-        scene = draw_scene(settings)
-        layout = layout_of(settings)
-        world = World(scene.mesh, scene.walkers)
+        scene, layout = draw_scene(settings), layout_of(settings)
+        world, base = World(scene.mesh, scene.walkers), scene.base_frame
+        for topic, kind in layout.others.items() if layout else ():
+            pose = writer.pose(scene.trajectory.T_map_base[0], EPOCH_NS, base)
+            message = writer.imu_at_rest(EPOCH_NS, base) if kind == "imu" else pose
+            writer.write(topic, message, EPOCH_NS)
         if layout is None:
-            frames = [StaticTransform(scene.base_frame, lidar.frame_id, lidar.T_base_sensor) for lidar in scene.lidars]
-            writer.write("/tf_static", writer.transforms(EPOCH_NS, frames), EPOCH_NS, latched=True)
-        writer.write("/truth/building", writer.text(json.dumps(scene.truth)), EPOCH_NS, latched=True)
-        jobs = _jobs(scene.lidars, settings)
-        with ThreadPoolExecutor(settings.workers) as pool:
-            streams: list[Iterable[_Timed]] = [_poses(writer, scene, settings, layout)]
-            labelled = [lidar.topic for lidar in scene.lidars if lidar.role != "horizontal"]
-            truth_topics = {topic: numbered(CLASSES_TOPIC, place) for place, topic in enumerate(labelled)}
-            for number, lidar in enumerate(scene.lidars):
-                traced = _traced(pool, world, scene, number, jobs[number], settings)
-                streams.append(_clouds(writer, lidar, truth_topics.get(lidar.topic), traced, points))
-            swept = 0.0
+            placed = [
+                StaticTransform(base, lidar.frame_id, lidar.T_base_sensor) for lidar in scene.lidars
+            ]
+            writer.write("/tf_static", writer.transforms(EPOCH_NS, placed), EPOCH_NS, latched=True)
+        truth = writer.text(json.dumps(scene.truth))
+        writer.write(BUILDING_TOPIC, truth, EPOCH_NS, latched=True)
+        due_rng = np.random.default_rng([settings.seed, 72])
+        streams: list[Iterable[_Timed]] = [_poses(writer, scene, settings)]
+        mapping = [lidar for lidar in scene.lidars if lidar.role != "horizontal"]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for lidar in scene.lidars:
+                due_ns = _due(lidar, settings, due_rng)
+                traced = _traced(pool, world, scene.trajectory, lidar, due_ns, settings)
+                number = mapping.index(lidar) if lidar in mapping else None
+                classes = None if number is None else numbered(CLASSES_TOPIC, number)
+                streams.append(_clouds(writer, lidar, classes, traced))
             for log_time_ns, topic, message in merge(*streams, key=itemgetter(0)):
                 writer.write(topic, message, EPOCH_NS + log_time_ns)
-                if topic in points:
-                    clouds[topic] = clouds.get(topic, 0) + 1
-                if progress is not None and (share := log_time_ns / (settings.duration_s * 1e9)) > swept + 0.01:
-                    swept = share
-                    progress(min(share, 1.0))
-    files = out.rglob("*") if out.is_dir() else [out]
-    return SimulationReport(
-        path=out, building=settings.building, rooms=len(scene.plan.rooms), doors=len(scene.plan.doors),
-        triangles=len(scene.mesh), clouds=clouds, points=points,
-        size_bytes=sum(file.stat().st_size for file in files), duration_s=settings.duration_s
-    )  # fmt: skip
+                if progress is not None:
+                    progress(min(log_time_ns / (settings.duration_s * 1e9), 1.0))
 
 
-def _carried(drive: Trajectory, T_floor_base: FloatArray) -> Trajectory:
-    """The base above the place where the robot stands."""
-    return Trajectory(drive.stamp_ns, drive.T_map_base @ T_floor_base)
-
-
-def _poses(writer: DriveWriter, scene: Scene, settings: SimulationSettings, layout: Layout | None) -> Iterator[_Timed]:
-    """The true poses during the drive, and what else the layout has that moves with the base."""
+def _poses(writer: DriveWriter, scene: Scene, settings: SimulationSettings) -> Iterator[_Timed]:
+    """Yield the true poses during the drive."""
     stamps, T = scene.trajectory.stamp_ns, scene.trajectory.T_map_base
-    others = layout.others if layout else {}
-    for i in range(int(np.searchsorted(stamps, round(settings.duration_s * 1e9), side="right"))):
-        due_ns = int(stamps[i])
-        stamp_ns = EPOCH_NS + due_ns
-        yield due_ns, "/truth/pose", writer.odometry(T[i], stamp_ns, scene.base_frame)
-        for topic, kind in others.items():
-            match kind:
-                case "imu":
-                    before, after = T[max(i - 1, 0)], T[min(i + 1, len(T) - 1)]
-                    step_s = float(stamps[1] - stamps[0]) / 1e9
-                    message = writer.imu(before, T[i], after, step_s, stamp_ns, scene.base_frame)
-                case "odometry":
-                    message = writer.odometry(T[i], stamp_ns, scene.base_frame, _ROBOTS_ODOMETRY)
-                case "tf":
-                    pose = StaticTransform(_ROBOTS_ODOMETRY, scene.base_frame, T[i])
-                    message = writer.transforms(stamp_ns, [pose])
-            yield due_ns, topic, message
+    during = stamps <= settings.duration_s * 1e9
+    for due_ns, pose in zip(stamps[during].tolist(), T[during], strict=True):
+        yield due_ns, POSE_TOPIC, writer.pose(pose, EPOCH_NS + due_ns, scene.base_frame)
 
 
 def _clouds(
-    writer: DriveWriter,
-    lidar: Lidar,
-    truth_topic: str | None,
-    traced: Iterable[tuple[int, Sweep]],
-    points: dict[str, int],
+    writer: DriveWriter, lidar: Lidar, truth_topic: str | None, traced: Iterable[tuple[int, Sweep]]
 ) -> Iterator[_Timed]:
-    """A lidar's clouds, whole sweeps or packets, with their truth where it is one that is labelled. points: counts them."""
-    for due_ns, sweep in traced:
-        points[lidar.topic] = points.get(lidar.topic, 0) + int(np.count_nonzero(sweep.range_m))
-        parts = _packets(lidar, sweep) if lidar.points == "packets" else [(due_ns, sweep)]
-        for part_due_ns, part in parts:
-            yield part_due_ns, lidar.topic, writer.cloud(lidar, part, EPOCH_NS)
+    """Yield a lidar's clouds, sweeps or packets, with their classes."""
+    for sweep_due_ns, sweep in traced:
+        whole = [(sweep_due_ns, sweep)]
+        for due_ns, part in _packets(lidar, sweep) if lidar.points == "packets" else whole:
+            yield due_ns, lidar.topic, writer.cloud(lidar, part, EPOCH_NS)
             if truth_topic is not None:
-                yield part_due_ns, truth_topic, writer.classes(lidar, part, EPOCH_NS)
+                yield due_ns, truth_topic, writer.classes(lidar, part, EPOCH_NS)
 
 
 def _packets(lidar: Lidar, sweep: Sweep) -> Iterator[tuple[int, Sweep]]:
-    """The sweep's UDP packets, each stamped with its first firing, and when they are due."""
+    """Yield the sweep's UDP packets, each stamped with its first firing."""
     packet_ns = lidar.period_ns * _PACKET_COLUMNS / lidar.model.columns
-    number = np.searchsorted(
-        np.arange(1, -(-lidar.model.columns // _PACKET_COLUMNS)) * packet_ns, sweep.time_ns, side="right"
-    )
-    for i in range(int(number.max()) + 1 if len(number) else 0):
-        own = number == i
-        first_ns = round(i * packet_ns)
-        part = replace(
-            sweep,
-            **{name: getattr(sweep, name)[own] for name in ("points_sensor", "range_m", "intensity", "ring", "truth")},
-            time_ns=sweep.time_ns[own] - first_ns,
-            stamp_ns=sweep.stamp_ns + first_ns,
-            end_ns=sweep.stamp_ns + first_ns + round(packet_ns),
-        )
-        yield part.end_ns + _PACKET_DELAY_NS, part
+    number = (sweep.time_ns / packet_ns).astype(int)
+    for i in range(lidar.model.columns // _PACKET_COLUMNS):
+        first_ns, part = round(i * packet_ns), sweep.only(number == i)
+        stamp_ns = sweep.stamp_ns + first_ns
+        part = replace(part, time_ns=part.time_ns - first_ns, stamp_ns=stamp_ns)
+        yield stamp_ns + round(packet_ns) + _PACKET_DELAY_NS, part
 
 
-def _jobs(lidars: tuple[Lidar, ...], settings: SimulationSettings) -> list[list[int]]:
-    """When each of a lidar's sweeps that end within the drive reaches the recorder, one list a lidar."""
-    rng = np.random.default_rng([settings.seed, 72])
-    due_ns: list[list[int]] = []
-    for lidar in lidars:
-        own: list[int] = []
-        while (end_ns := lidar.sweep_start_ns(len(own) + 1)) <= settings.duration_s * 1e9:
-            own.append(end_ns + int(rng.uniform(1e6, 6e6)))
-        due_ns.append(own)
+def _due(lidar: Lidar, settings: SimulationSettings, rng: Rng) -> list[int]:
+    """Draw when each of a lidar's sweeps that end within the drive is recorded."""
+    due_ns: list[int] = []
+    while (end_ns := lidar.sweep_start_ns(len(due_ns) + 1)) <= settings.duration_s * 1e9:
+        due_ns.append(end_ns + int(rng.uniform(1e6, 6e6)))
     return due_ns
 
 
 def _traced(
-    pool: ThreadPoolExecutor, world: World, scene: Scene, number: int, due_ns: list[int], settings: SimulationSettings
-) -> Iterator[tuple[int, Sweep]]:
-    """When each of a lidar's sweeps is due, and itself, a few traced ahead: Embree and NumPy let other threads run."""
-    lidar, bias = scene.lidars[number], scene.ring_bias_m[number]
+    pool: ThreadPoolExecutor, world: World, trajectory: Trajectory, lidar: Lidar,
+    due_ns: list[int], settings: SimulationSettings
+) -> Iterator[tuple[int, Sweep]]:  # fmt: skip
+    """Yield a lidar's sweeps, a few traced ahead: Embree and NumPy release the interpreter."""
     submitted = (
-        (due, pool.submit(scan, world, lidar, scene.trajectory, index, settings, bias))
+        (due, pool.submit(scan, world, lidar, trajectory, index, settings))
         for index, due in enumerate(due_ns)
     )
-    waiting: deque[tuple[int, Future[Sweep]]] = deque(islice(submitted, settings.workers))
+    waiting: deque[tuple[int, Future[Sweep]]] = deque(islice(submitted, os.cpu_count()))
     while waiting:
         due, sweep = waiting.popleft()
         waiting.extend(islice(submitted, 1))

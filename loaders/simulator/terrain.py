@@ -1,84 +1,76 @@
-"""How the ground under a building rises: a slope, and a ramp halfway along the corridor."""
+"""The ground under a building: a slope, and a ramp halfway along the corridor."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.loaders.simulator.mesh import Mesh
+from ffmap.loaders.simulator.mesh import UP, Mesh, Rng, Span
 from ffmap.loaders.simulator.settings import SimulationSettings
 
-_RAMP_GRADIENT = 0.08
+_RAMP_GRADIENT = 0.08  # ADA 405.2: 1:12
 _FACET_M = 0.6
+_REACH_M = 0.25  # From the middle of the robot to its wheels
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """The floor's height over the plan; walls stay upright, ceilings follow the floor.
+    """Height of the floor; walls stay upright, ceilings follow the floor.
 
-    gradient: (2,) of the slope. ramp_x_m: where the ramp starts and ends along the plan's x.
+    gradient: (2,) of the slope. ramp_x_m: start and end of the ramp along the plan's x.
     """
 
     gradient: FloatArray
-    ramp_x_m: tuple[float, float]
+    ramp_x_m: Span
     ramp_rise_m: float
 
-    @property
-    def level(self) -> bool:
-        return not self.ramp_rise_m and not self.gradient.any()
-
     def height(self, xy: FloatArray) -> FloatArray:
-        """Height (n,) of the floor at places (n, 2) of the plan, metres."""
-        start, end = self.ramp_x_m
-        return np.asarray(xy @ self.gradient + np.clip((xy[:, 0] - start) / (end - start), 0, 1) * self.ramp_rise_m)
+        """Return heights (n,) of the floor at places (n, 2) of the plan."""
+        ramp = np.interp(xy[:, 0], self.ramp_x_m, (0.0, self.ramp_rise_m))
+        return np.asarray(xy @ self.gradient + ramp)
 
     def lift_mesh(self, mesh: Mesh) -> Mesh:
-        """The building on this ground; large triangles are cut so that they can bend with the ramp."""
-        if self.level:
-            return mesh
+        """Return the building on this ground; triangles that bend with the ramp are divided."""
         if self.ramp_rise_m:
-            mesh = _facetted(mesh)
-        return mesh.warped(lambda vertices: vertices + np.outer(self.height(vertices[:, :2]), [0.0, 0.0, 1.0]))
+            mesh = _divided(mesh, self.ramp_x_m)
+        return mesh.warped(lambda vertices: vertices + self.height(vertices[:, :2])[:, None] * UP)
 
     def lift_drive(self, drive: Trajectory) -> Trajectory:
-        """The robot on this ground, its base standing upright on the floor below it."""
-        if self.level:
-            return drive
+        """Return the poses of a robot that follows this ground."""
         T = drive.T_map_base.copy()
-        centre = T[:, :2, 3]
-        reach = 0.25
-        fore, left = T[:, :2, 0] * reach, T[:, :2, 1] * reach
-        rise = (self.height(centre + fore) - self.height(centre - fore)) / (2 * reach)
-        bank = (self.height(centre + left) - self.height(centre - left)) / (2 * reach)
+        centre, fore, left = T[:, :2, 3], T[:, :2, 0] * _REACH_M, T[:, :2, 1] * _REACH_M
+        rise, bank = (
+            (self.height(centre + to) - self.height(centre - to)) / (2 * _REACH_M)
+            for to in (fore, left)
+        )
+        tilt = Rotation.from_euler("YX", np.arctan(np.stack([-rise, bank], 1)))
         T[:, 2, 3] += self.height(centre)
-        T[:, :3, :3] = T[:, :3, :3] @ Rotation.from_euler("YX", np.arctan(np.stack([-rise, bank], 1))).as_matrix()
+        T[:, :3, :3] = T[:, :3, :3] @ tilt.as_matrix()
         return Trajectory(drive.stamp_ns, T)
 
 
-def draw_terrain(
-    corridor: FloatArray, settings: SimulationSettings, rng: np.random.Generator, ramp_gradient: float = _RAMP_GRADIENT
-) -> Terrain:
-    """The slope's direction is drawn; the ramp lies in the middle of the corridor's first leg."""
-    direction = rng.uniform(0, 2 * np.pi)
-    gradient = np.tan(np.radians(settings.floor_slope_deg)) * np.array([np.cos(direction), np.sin(direction)])
-    middle = 0.5 * float(corridor[1, 0])
-    half = max(settings.ramp_rise_m / ramp_gradient / 2, 0.1)
+def draw_terrain(corridor: FloatArray, settings: SimulationSettings, rng: Rng) -> Terrain:
+    """Draw the direction of the slope; the ramp is in the middle of the corridor's first leg."""
+    heading, slope = rng.uniform(0, 2 * np.pi), np.tan(np.radians(settings.floor_slope_deg))
+    middle, half = 0.5 * float(corridor[1, 0]), max(settings.ramp_rise_m / _RAMP_GRADIENT / 2, 0.1)
+    gradient = slope * np.array([np.cos(heading), np.sin(heading)])
     return Terrain(gradient, (middle - half, middle + half), settings.ramp_rise_m)
 
 
-def _facetted(mesh: Mesh) -> Mesh:
-    """Triangles near the building cut in four until no side is longer than _FACET_M; the far outside stays as it is."""
-    while True:
-        triangles = mesh.triangles
-        sides = np.linalg.norm(np.roll(triangles, -1, axis=1)[..., :2] - triangles[..., :2], axis=2).max(1)
-        cut = (sides > _FACET_M) & (sides < 60.0)
-        if not cut.any():
-            return mesh
-        a, b, c = (triangles[cut, i] for i in range(3))
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        quarters = [np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-        others = [getattr(mesh, field.name) for field in fields(mesh)[1:]]
-        tiled = [np.concatenate([values[~cut], np.tile(values[cut], 4)]) for values in others]
-        mesh = Mesh(np.concatenate([triangles[~cut], *quarters]), *tiled)
+def _divided(mesh: Mesh, ramp_x_m: Span) -> Mesh:
+    """Divide the building's triangles that cross the ends of the ramp."""
+    x = mesh.triangles[..., 0]
+    near = np.ptp(x, axis=1) < 60.0  # Not the ground outside
+    crossing = near & np.any([(x.min(1) < end) & (x.max(1) > end) for end in ramp_x_m], axis=0)
+    vertices = mesh.triangles[crossing].reshape(-1, 3)
+    triangles = np.arange(len(vertices)).reshape(-1, 3)
+    vertices, triangles, source = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
+        vertices, triangles, _FACET_M, max_iter=12, return_index=True
+    )
+    return Mesh(
+        np.concatenate([mesh.triangles[~crossing], vertices[triangles]]),
+        np.concatenate([mesh.faces[~crossing], mesh.faces[crossing][source]]),
+    )

@@ -26,7 +26,7 @@ FFMAP = str(Path(sys.executable).with_name("ffmap"))
 QUICK_S = 40.0
 NAMED = {
     "office": {"building": "office"},
-    "crammed office": {"building": "office", "clutter": 1.0, "walking_people": 3, "glass": 0.2},
+    "crammed office": {"building": "office", "clutter": 1.0, "walking_people": 3},
     "empty, VLP-16": {
         "building": "office",
         "clutter": 0.0,
@@ -35,10 +35,10 @@ NAMED = {
     },
     "odd angles, glass": {
         "building": "angled",
-        "glass": 0.9,
+        "window": ["single", "curtain wall"],
+        "glazed_share": 0.4,
         "mount_tilt_deg": 5.0,
-        "recess_min_m": 0.02,
-        "recess_max_m": 0.08,
+        "recess_m": [0.02, 0.08],
     },
     "high, OS1-16": {
         "building": "ell",
@@ -49,7 +49,7 @@ NAMED = {
     "low, fast, swaying": {
         "building": "ell",
         "ceiling_m": 2.5,
-        "double_share": 0.5,
+        "door": ["hinged", "double"],
         "speed_mps": 1.0,
         "sway_deg": 1.0,
     },

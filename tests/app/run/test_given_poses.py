@@ -121,8 +121,8 @@ def test_poses_that_no_robot_has_are_refused(
     inputs: Inputs, true: Trajectory, tmp_path: Path
 ) -> None:
     path, stamps, poses = tmp_path / "a.tum", true.stamp_ns, true.T_map_base
-    backwards = given(inputs, path, poses[::-1], stamps)
-    assert "which blurs the map" in backwards.warnings[0]
+    for T in (poses[::-1], _scaled(poses, 100.0)):
+        assert "which blurs the map" in given(inputs, path, T, stamps).warnings[0]
     turning = np.array(
         [transforms.from_yaw(0.7 * s, [0, 0, 0]) for s in (stamps - stamps[0]) / 1e9]
     )
@@ -131,7 +131,6 @@ def test_poses_that_no_robot_has_are_refused(
         (poses, stamps + 10**15, "give poses of this drive"),
         (lying @ poses, stamps, "z axis is 90 deg from"),
         (turning @ poses, stamps, "saw at different times are"),
-        (_scaled(poses, 100.0), stamps, "saw at different times are"),
         (_scaled(poses, 0.0, 1e4), stamps, "jumps by 10000 m within"),
         (_scaled(poses, 0.0, 1e300), stamps, r"e\+30\d m from its origin; give metres"),
     ):
