@@ -369,7 +369,7 @@ def test_run_is_not_gone_on_with_on_other_poses(
         ffmap_here(environment, "run", "--resume", out), "trajectory.tum", "is not what", "start a new run"
     )
     poses.unlink()
-    assert_one_line_error(ffmap_here(environment, "run", "--resume", out), "trajectory.tum", "or is gone")
+    assert_one_line_error(ffmap_here(environment, "run", "--resume", out), "trajectory.tum", "or is missing")
 
 
 def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
