@@ -1,6 +1,6 @@
-"""The method of "Furniture Free Mapping using 3D Lidars" as pure functions on arrays, one file for each step.
+"""The method of "Furniture Free Mapping using 3D Lidars": pure functions on arrays, a file per step.
 
-Rooms, each of which uses only those before it: `base` (what a scan is), `scan` (one scan, section III of the paper), `poses`
-(IV.A), `building` (all scans together), `maps` (IV.C and D), `truth` (IV.B). They know neither files nor Rerun: each step
-returns a frozen dataclass with its answer and its evidence.
+Each folder uses only those before it: `base` (scans), `scan` (one scan, section III of the paper),
+`poses` (IV.A), `building` (all scans together), `maps` (IV.C and D), `truth` (IV.B). No folder
+depends on files or on Rerun. Each step returns a frozen dataclass: its answer and its evidence.
 """

@@ -12,7 +12,8 @@ _NAME = "ffmap"
 def own_command() -> str:
     """Return `ffmap` if the shell finds this installation by that name, else the script's path."""
     beside = Path(sys.executable).with_name(_NAME)
-    scripts = [path for path in (Path(sys.argv[0]), beside) if path.stem == _NAME and path.is_file()]
+    candidates = (Path(sys.argv[0]), beside)
+    scripts = [path for path in candidates if path.stem == _NAME and path.is_file()]
     found = shutil.which(_NAME)
     if not scripts or (found is not None and Path(found).resolve() == scripts[0].resolve()):
         return _NAME

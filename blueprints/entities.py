@@ -41,7 +41,7 @@ CANDIDATE_PLANE_COLOR = "plane_color"
 GRAPH_UNITS_PER_M = 25.0
 """Scale of the graph of rooms: its view draws names in its own units."""
 OVERHEAD = [s for s in Surface if s.label == Label.CEILING] + [Surface.MIRRORED_FLOOR]
-"""Level surfaces that hide what is below them."""
+"""Level surfaces that hide the rooms below them."""
 
 Color = tuple[int, int, int]
 
@@ -76,7 +76,7 @@ LINE_OUTCOMES: dict[int, tuple[str, Color]] = {
 
 
 class Fault(IntEnum):
-    """What is wrong with the final label of a return."""
+    """Error of the final label of a return."""
 
     NONE = 0
     OF_THE_SCAN = 1  # Wrong, as the scan labelled it

@@ -26,7 +26,7 @@ def build(
 ) -> rrb.Blueprint:
     """Return the layout of a recording of one segmented map.
 
-    centre_m, extent_m: of what is shown. grid: name of the map.
+    centre_m, extent_m: of the view. grid: name of the map.
     """
     return layout(tab(centre_m, extent_m, grid), rrb.TimePanel(state="hidden"))
 

@@ -92,7 +92,8 @@ def _overview(
     detected: list[Part] = [_scan("Wall planes and doors of the scan", [PLANES, OPENINGS], names)]
     if lines:
         title = "Point lines and wall planes; white: the line of the curve"
-        detected = [_scan(title, ["/scan/lines/**", PLANES, OPENINGS], names), differences(_DIFFERENCES)]
+        scan = _scan(title, ["/scan/lines/**", PLANES, OPENINGS], names)
+        detected = [scan, differences(_DIFFERENCES)]
     lidar = [text("/scan/lidar", "Lidar of the scan")] if several_lidars else []
     return rrb.Vertical(
         rrb.Horizontal(_label_legend(), _glance(), *lidar),
@@ -201,7 +202,7 @@ def _mapped(
 
 def _building(centre_m: Centre, extent_m: float, first: bool) -> rrb.Container:
     """Return the whole building. first: as the first tab, which explains what it shows."""
-    # They hide what is below; a click on their eye symbol shows them.
+    # They hide the rooms below; a click on their eye symbol shows them.
     overhead = {
         f"/world/building/levels/{surface}": rrb.EntityBehavior(visible=False)
         for surface in OVERHEAD

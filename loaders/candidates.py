@@ -97,7 +97,7 @@ def tilt_deg_of(T_base_sensor: FloatArray) -> float:
 def find_candidates(
     bag: Bag, topics: list[str], time_from: TimeFrom, warnings: list[str]
 ) -> list[Candidate]:
-    """Select the topics whose clouds can be read. Raises CloudError where there is none."""
+    """Select the topics whose clouds can be read. Raises CloudError if none can."""
     found = []
     failure: CloudError | None = None
     for topic in topics:

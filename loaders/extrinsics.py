@@ -29,7 +29,7 @@ class Placement:
 def entries_of(bag: Bag, rig: RigFile, topics: Sequence[str]) -> dict[str, RigLidar]:
     """Find the topic of each lidar of a rig file: by its name, else by the frame of its clouds.
 
-    Raises InputError where there is none.
+    Raises InputError if it is missing.
     """
     found: dict[str, RigLidar] = {}
     for lidar in rig.lidars:

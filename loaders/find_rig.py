@@ -52,14 +52,14 @@ def find_rig(
         "horizontal": () if horizontal is None else (horizontal,),
         "vertical": verticals,
     }
-    asked = {role: _cloud_topics(bag, names, role) for role, names in named.items() if names}
-    chosen = dict.fromkeys(topic for own in asked.values() for topic in own).keys()
+    requested = {role: _cloud_topics(bag, names, role) for role, names in named.items() if names}
+    chosen = dict.fromkeys(topic for own in requested.values() for topic in own).keys()
     rig, entries = None, dict[str, RigLidar]()
     if rig_file:
         rig = read_rig_file(rig_file)
         entries = entries_of(bag, rig, topics)
         topics = [*dict.fromkeys([*entries, *chosen])]
-    if len(asked) == 2:
+    if len(requested) == 2:
         topics = [topic for topic in topics if topic in chosen]
 
     candidates = find_candidates(bag, topics, time_from, warnings)
@@ -71,11 +71,11 @@ def find_rig(
 
     tree = read_frame_tree(bag, {c.topic: c.frame_id for c in candidates})
     warnings += tree.warnings
-    unplaced = unplaced and len(asked) == 2
+    unplaced = unplaced and len(requested) == 2
     if rig is not None:
         placement = place_by_file(candidates, rig, entries, tree)
     elif unplaced and len(candidates) > 1 and not tree.joins({c.frame_id for c in candidates}):
-        base = next(c.frame_id for c in candidates if c.topic == asked["horizontal"][0])
+        base = next(c.frame_id for c in candidates if c.topic == requested["horizontal"][0])
         placement = Placement(candidates, base, ())
     else:
         placement = place_by_transforms(bag, candidates, chosen, tree, warnings)
@@ -83,7 +83,7 @@ def find_rig(
         placement = make_upright(placement, warnings, may_change=rig is None)
     check_reach(rig.path if rig else bag.path, placement)
 
-    drives, labelled = assign_roles(placement.candidates, asked, warnings)
+    drives, labelled = assign_roles(placement.candidates, requested, warnings)
     source = "the bag's transforms"
     if rig is not None:
         source = rig.label

@@ -20,13 +20,13 @@ _SCAN_MAX_NS = 500_000_000  # In more, people walk on and the robot leaves the r
 
 
 def assign_roles(
-    candidates: Sequence[Candidate], asked: Mapping[Role, list[str]], warnings: list[str]
+    candidates: Sequence[Candidate], requested: Mapping[Role, list[str]], warnings: list[str]
 ) -> tuple[Lidar, tuple[Lidar, ...]]:
     """Choose the lidar that drives odometry, and those that are labelled.
 
-    asked: topics that the user named for a role; these, and the roles of a rig file, are kept.
+    requested: topics that the user named for a role; these, and the roles of a rig file, are kept.
     """
-    horizontals, verticals = (_named(candidates, asked, role) for role in _ROLES)
+    horizontals, verticals = (_named(candidates, requested, role) for role in _ROLES)
     if horizontals:
         horizontal = horizontals[0]
     else:
@@ -58,11 +58,11 @@ _ROLES: tuple[Role, Role] = ("horizontal", "vertical")
 
 
 def _named(
-    candidates: Sequence[Candidate], asked: Mapping[Role, list[str]], role: Role
+    candidates: Sequence[Candidate], requested: Mapping[Role, list[str]], role: Role
 ) -> list[Lidar]:
     by_topic = {c.topic: c for c in candidates}
-    if role in asked:
-        return [_lidar(by_topic[topic], f"--{role} names it") for topic in asked[role]]
+    if role in requested:
+        return [_lidar(by_topic[topic], f"--{role} names it") for topic in requested[role]]
     return [
         _lidar(c, "the rig file gives it this role") for c in candidates if role in c.roles
     ]

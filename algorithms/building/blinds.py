@@ -13,7 +13,14 @@ from ffmap.algorithms.base.known import median_known
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import TracedFaces, runs
-from ffmap.algorithms.building.model import CELL_M, NO_BLINDS, Blinds, BuildingSettings, Windows, cells_in
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_BLINDS,
+    Blinds,
+    BuildingSettings,
+    Windows,
+    cells_in,
+)
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     THROUGH,

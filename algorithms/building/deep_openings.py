@@ -9,9 +9,24 @@ import numpy as np
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengthened
 from ffmap.algorithms.building.closed_doors import is_opaque
-from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, BuildingSettings, Doors, Walls, Windows, cells_in
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_WINDOWS,
+    BuildingSettings,
+    Doors,
+    Walls,
+    Windows,
+    cells_in,
+)
 from ffmap.algorithms.building.openings import OpeningRules, is_pane, lies_on_sheet, without_panels
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, SUM, THROUGH, WallCells, mean_before_m
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    FOOT_ROW,
+    SUM,
+    THROUGH,
+    WallCells,
+    mean_before_m,
+)
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
 from ffmap.algorithms.building.windows import find_pane_m
 from ffmap.algorithms.scan.doors import DoorState

@@ -15,10 +15,28 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.closed_doors import Opening, closed_door, is_opaque, none_over_another
+from ffmap.algorithms.building.closed_doors import (
+    Opening,
+    closed_door,
+    is_opaque,
+    none_over_another,
+)
 from ffmap.algorithms.building.face_columns import TracedFaces
-from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, depth_moments, mean_before_m
+from ffmap.algorithms.building.model import (
+    AT_FACE_M,
+    CELL_M,
+    NO_DOORS,
+    BuildingSettings,
+    Doors,
+    cells_in,
+)
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    FOOT_ROW,
+    THROUGH,
+    depth_moments,
+    mean_before_m,
+)
 
 
 class DoorCasingsSettings(StepSettings):

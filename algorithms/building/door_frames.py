@@ -12,7 +12,15 @@ from pydantic import Field
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, ON_FACE_M, BuildingSettings, Doors, Walls, stretches
+from ffmap.algorithms.building.model import (
+    AT_FACE_M,
+    CELL_M,
+    ON_FACE_M,
+    BuildingSettings,
+    Doors,
+    Walls,
+    stretches,
+)
 from ffmap.algorithms.building.ray_evidence import OwnPlane, Rays, floor_m, own_plane
 from ffmap.algorithms.scan.summary import Features
 

@@ -36,7 +36,13 @@ from ffmap.algorithms.building.openings import (
     widened,
     without_panels,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, mean_before_m, with_neighbours
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    FOOT_ROW,
+    THROUGH,
+    mean_before_m,
+    with_neighbours,
+)
 from ffmap.algorithms.scan.doors import DoorState
 
 

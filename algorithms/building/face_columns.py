@@ -16,7 +16,15 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.ceilings import of_rooms
 from ffmap.algorithms.building.height_map import HeightMap, corrected
 from ffmap.algorithms.building.level_settings import LevelsSettings
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in, stretches
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_WALLS,
+    BuildingSettings,
+    Rows,
+    Walls,
+    cells_in,
+    stretches,
+)
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,

@@ -8,7 +8,14 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in, stretches
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_WALLS,
+    BuildingSettings,
+    Walls,
+    cells_in,
+    stretches,
+)
 from ffmap.algorithms.scan.summary import Features
 from ffmap.algorithms.scan.wall_planes import fit_upright_plane
 

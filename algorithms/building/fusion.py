@@ -15,11 +15,29 @@ from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cas
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings, find_outlined_doors
-from ffmap.algorithms.building.doors import each_once, find_doors, lower_heads_to_overlights, prove_crossed
+from ffmap.algorithms.building.doors import (
+    each_once,
+    find_doors,
+    lower_heads_to_overlights,
+    prove_crossed,
+)
 from ffmap.algorithms.building.drive import AllScans
-from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
-from ffmap.algorithms.building.face_columns import FLOOR_NEAR_M, FaceColumnsSettings, TracedFaces, column_places
-from ffmap.algorithms.building.face_foreground import ForegroundSettings, bare_foreground, find_foreground
+from ffmap.algorithms.building.face_alignment import (
+    AlignedFaces,
+    FaceAlignmentSettings,
+    align_faces,
+)
+from ffmap.algorithms.building.face_columns import (
+    FLOOR_NEAR_M,
+    FaceColumnsSettings,
+    TracedFaces,
+    column_places,
+)
+from ffmap.algorithms.building.face_foreground import (
+    ForegroundSettings,
+    bare_foreground,
+    find_foreground,
+)
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import (
@@ -50,14 +68,37 @@ from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_o
 from ffmap.algorithms.building.halo import Halo, HaloSettings, find_halo, halo_at_walls
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings, find_low_walls, without_low_walls
-from ffmap.algorithms.building.missed_walls import AllReturns, MissedWallsSettings, SearchSettings, find_missed_walls
-from ffmap.algorithms.building.model import NO_WALLS, NO_WINDOWS, Blinds, BuildingSettings, Doors, Walls, Windows
+from ffmap.algorithms.building.missed_walls import (
+    AllReturns,
+    MissedWallsSettings,
+    SearchSettings,
+    find_missed_walls,
+)
+from ffmap.algorithms.building.model import (
+    NO_WALLS,
+    NO_WINDOWS,
+    Blinds,
+    BuildingSettings,
+    Doors,
+    Walls,
+    Windows,
+)
 from ffmap.algorithms.building.mullions import find_mullions
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.building.shades import pictures
-from ffmap.algorithms.building.sliding_doors import HangingLeaf, find_hanging_leaves, find_sliding_doors, sliding_panes
-from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, face_thickness, part_walls
+from ffmap.algorithms.building.sliding_doors import (
+    HangingLeaf,
+    find_hanging_leaves,
+    find_sliding_doors,
+    sliding_panes,
+)
+from ffmap.algorithms.building.thickness import (
+    WallThicknessSettings,
+    door_depths,
+    face_thickness,
+    part_walls,
+)
 from ffmap.algorithms.building.unexplained_lines import straight_lines, unexplained_columns
 from ffmap.algorithms.building.windows import (
     WindowsSettings,

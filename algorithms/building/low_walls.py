@@ -14,7 +14,13 @@ from ffmap.algorithms.base.known import median_known
 from ffmap.algorithms.base.scan import BoolArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces, long_runs, on_and_passed, runs
+from ffmap.algorithms.building.face_columns import (
+    TracedFace,
+    TracedFaces,
+    long_runs,
+    on_and_passed,
+    runs,
+)
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, depth_moments, with_neighbours

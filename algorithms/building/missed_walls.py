@@ -26,12 +26,35 @@ from ffmap.algorithms.building.face_columns import (
     rows_on_and_passed,
     runs,
 )
-from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, StandingWallsSettings, wall_directions
+from ffmap.algorithms.building.face_verdicts import (
+    ACROSS,
+    SAME_WAY,
+    StandingWallsSettings,
+    wall_directions,
+)
 from ffmap.algorithms.building.folds import FoldsSettings, in_folds
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Rows, Walls, cells_in
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_WALLS,
+    BuildingSettings,
+    Rows,
+    Walls,
+    cells_in,
+)
 from ffmap.algorithms.building.openings import widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, first_columns, with_neighbours
-from ffmap.algorithms.building.unexplained_lines import Line, both_sides, straight_lines, unexplained_columns
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    FOOT_ROW,
+    THROUGH,
+    first_columns,
+    with_neighbours,
+)
+from ffmap.algorithms.building.unexplained_lines import (
+    Line,
+    both_sides,
+    straight_lines,
+    unexplained_columns,
+)
 from ffmap.algorithms.building.votes import VoxelVotes
 
 _UNDERSIDE_CELL_M = 2.0 * CELL_M

@@ -19,7 +19,13 @@ from ffmap.algorithms.building.model import (
     cells_in,
 )
 from ffmap.algorithms.building.openings import OpeningRules
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, WallCells, depth_moments
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    FOOT_ROW,
+    THROUGH,
+    WallCells,
+    depth_moments,
+)
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
 from ffmap.algorithms.building.windows import is_beside
 

@@ -9,7 +9,14 @@ from scipy import ndimage
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, ON_FACE_M, BuildingSettings, cells_in, stretches
+from ffmap.algorithms.building.model import (
+    AT_FACE_M,
+    CELL_M,
+    ON_FACE_M,
+    BuildingSettings,
+    cells_in,
+    stretches,
+)
 from ffmap.algorithms.building.ray_evidence import (
     FILLED,
     FOOT_ROW,

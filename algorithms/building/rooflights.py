@@ -7,7 +7,14 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
-from ffmap.algorithms.building.height_map import GroundGrid, HeightMap, Surface, closed, grid_over_all, nearest_known
+from ffmap.algorithms.building.height_map import (
+    GroundGrid,
+    HeightMap,
+    Surface,
+    closed,
+    grid_over_all,
+    nearest_known,
+)
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features

@@ -22,7 +22,15 @@ from ffmap.algorithms.base.segments import (
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_columns import TracedFaces, long_runs, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
-from ffmap.algorithms.building.model import CELL_M, NO_WINDOWS, ON_FACE_M, Walls, Windows, cells_in, stretches
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_WINDOWS,
+    ON_FACE_M,
+    Walls,
+    Windows,
+    cells_in,
+    stretches,
+)
 from ffmap.algorithms.building.openings import (
     OpeningRules,
     deepest_sheet_m,

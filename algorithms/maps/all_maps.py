@@ -55,7 +55,7 @@ class Maps:
 def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Maps:
     """Draw all maps of a building."""
     doors, windows, knee_m = building.model.doors, building.model.windows, settings.building.knee_m
-    # Rays that passed windows count here: the grid shows what is farther away as well.
+    # Rays that passed windows count here: the grid shows farther places as well.
     faces = both_sides(building.model.walls)
     cells = scans.trace(faces, settings.building.for_faces(), NO_WINDOWS)
     immobile = Immobile(building.model.walls, cells, scans.votes, doors, windows)

@@ -44,7 +44,7 @@ _ENCLOSED_RATIO = 1.5
 _BLOCK_FILL_MIN = 0.25
 """Minimum share of the square of its length that a compact block covers."""
 _BEAM_M = 0.15
-"""Half the width (m) of the narrowest room: what is narrower are rays that left through a gap."""
+"""Half the width (m) of the narrowest room: narrower areas are rays that left through a gap."""
 _JAMB_M = 0.1
 """Length (m) by which a closed doorway extends into both jambs, whose places are uncertain."""
 _BESIDE_DOOR_M = 0.4

@@ -16,7 +16,7 @@ def grown(area: BaseGeometry, distance_m: float) -> BaseGeometry:
     """Buffer an area with square corners.
 
     Where corners nearly coincide, GEOS may return a hole outside its shell. Corners are then laid
-    on a grid; what is still invalid is made valid.
+    on a grid; invalid rest is made valid.
     """
     buffered = area.buffer(distance_m, join_style="mitre")
     if not buffered.is_valid:

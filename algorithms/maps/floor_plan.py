@@ -119,7 +119,7 @@ def draw_floor_plan(
     """Draw the plan of a building.
 
     standing: see `standing_stretches`. grid: the furniture-free grid; what it does not show is not
-    drawn. storey: the floor on which open leaves stand.
+    drawn. storey: the floor of the open leaves.
     """
     stretches = standing.select(_shown(standing, grid))
     doors = immobile.doors
@@ -266,7 +266,7 @@ def _fragments(stretches: Walls) -> BoolArray:
 
 
 def _groups(stretches: Walls, apart_m: float) -> IntArray:
-    """(W,) a number for each group of stretches, each of which is near to the next."""
+    """(W,) a number for each group of stretches, of near stretches."""
     lines = shapely.linestrings(stretches.ends)
     pairs = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=apart_m)
     graph = csr_array((np.ones(pairs.shape[1]), pairs), (len(lines), len(lines)))

@@ -20,7 +20,7 @@ from ffmap.algorithms.scan.summary import Features
 _RANGE_M = 25.0
 """Maximum distance (m) from the sensor that rays make free."""
 _EVERY = 4
-"""One ray of so many is walked."""
+"""One ray in this number is walked."""
 _BLIND_M = 1.0
 """Maximum distance (m) from its way at which the robot may not see the floor."""
 _STEP_MAX_M = 0.5
@@ -34,8 +34,8 @@ _EIGHT = np.ones((3, 3), bool)
 class Draft:
     """A map without its free cells.
 
-    occupied, blocked: (rows, columns) what is drawn, and what stops rays: windows do, and are not
-    drawn. doorways: (4, 2) each, free in any case. leaves: (2, 2) each, which close doorways.
+    occupied, blocked: (rows, columns) drawn cells, and cells that stop rays (windows also do).
+    doorways: (4, 2) each, free in any case. leaves: (2, 2) each, which close doorways.
     hides_walls: whether occupied cells that bound nothing visible are left out, such as the
     reveals of windows and walls that are continued behind a pillar.
     """

@@ -222,7 +222,7 @@ def _blocked(
     faces: FloatArray = _NO_FACES,
     doorways: Sequence[FloatArray] = (),
 ) -> BoolArray:
-    """What blocks rays: occupied cells, panes, and gaps beside panes that nobody could pass.
+    """What blocks rays: occupied cells, panes, and gaps beside panes too narrow to pass.
 
     What glass shows is not part of the building. faces: (F, 2, 2) of walls, some with windows.
     """

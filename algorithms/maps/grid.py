@@ -1,4 +1,4 @@
-"""Grid maps: their cells, and what is drawn into them."""
+"""Grid maps: cells and drawing."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """Mouths of rooms: straight lines from a corner of a wall to another wall that may end a room.
 
 A room that is no deeper than its opening is wide has no bottleneck of the distance map there. But
-its walls end at corners that stand out, and mostly one of the walls is in line with the opening
+its walls end at salient corners, and mostly one of the walls is in line with the opening
 (compare the approximately convex parts of Liu, Liu and Latecki 2010). The width of an opening is
 compared with the free space parallel to it on either side. Bays and corridors that meet are as
 wide as their openings; they are no rooms.
@@ -22,7 +22,7 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 _REACH_M = 8.0
 """Maximum width (m) of a mouth."""
 _CORNER_M = 0.12
-"""Minimum distance (m) by which a corner stands out of a wall."""
+"""Minimum distance (m) by which a corner protrudes from a wall."""
 _TURN_MIN = np.radians(30.0)
 """Minimum angle by which a wall turns at a corner."""
 _IN_LINE = -np.cos(np.radians(10.0))
@@ -143,7 +143,7 @@ def _candidates(free: BoolArray, cell_m: float) -> list[tuple[FloatArray, bool]]
 def _corners(
     free: BoolArray, tolerance: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Corners (n, 2) that stand out into the free cells, the ways (n, 2) to the outline's corners
+    """Corners (n, 2) that protrude into the free cells, the ways (n, 2) to the outline's corners
     before and after each, and the edges (e, 2, 2) of all outlines."""
     corners: list[FloatArray] = [np.zeros((0, 3, 2))]
     # Bordered, so that every outline is closed, with free cells on the same side.

@@ -15,7 +15,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
 
 _RESOLUTION_M = 0.2
-"""Edge (m) of the voxels to one point each of which clouds are thinned."""
+"""Edge (m) of the voxels that keep one point each of a cloud."""
 _NEIGHBOURS = 12
 """Number of neighbours from which a point's covariance is estimated."""
 

@@ -97,7 +97,7 @@ def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, f
     level = level[np.argsort(level[:, 2], kind="stable")]
     best_score, best = -np.inf, None
     for attempt in range(300):
-        # Among the lowest half, quarter, ... 64th: the floor may be the least of what is level.
+        # Among the lowest half, quarter, ... 64th: the floor may be the smallest level surface.
         low = max(len(level) >> 1 + attempt % 6, 3)
         a, b, c = level[generator.choice(low, 3, replace=False)]
         normal = np.cross(b - a, c - a)
@@ -126,7 +126,7 @@ def _fit_floor(points_base: FloatArray, seed: int) -> tuple[FloatArray, float, f
         offset = float(normal @ centre)
     below, above = _count_beside(patches.centre, normal, offset)
     if below > above:
-        # Without a floor in view: a slanting plane through the ceiling, half of which is above it.
+        # Without a floor in view: a slanting plane through the ceiling, half above it.
         return no_floor
     residual_m = inliers @ normal - offset
     return normal, offset, float(np.sqrt(np.mean(residual_m**2)))

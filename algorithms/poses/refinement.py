@@ -163,7 +163,7 @@ class Refiner:
             if found.refused:
                 if stamp_ns - self._last.stamp_ns > _BLIND_NS:
                     return None
-                # The map must not mix what is seen from a guessed pose with what was seen before.
+                # The map must not mix returns of a guessed pose with earlier ones.
                 self._map = GaussianMap(self._settings.voxel_m, _MEMORY_SCANS)
             self._first = None
         else:

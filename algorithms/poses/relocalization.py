@@ -24,7 +24,7 @@ ITERATIONS_MAX = 20
 _RECALLED_MAX = 100
 """Maximum number of earlier scans that are searched."""
 _SEEN_M = 5.0
-"""Maximum further distance of the sensor when it saw what is seen from a pose within reach."""
+"""Maximum further distance of the sensor when it saw the surroundings of a pose within reach."""
 _POSES_MAX, _RESWEPT_MAX = 8, 3
 """Maximum number of likely poses that are tried, and of fits that are tried with other motions."""
 _SAME = Change(degrees=10.0, metres=0.5)

@@ -116,7 +116,7 @@ def _is_broad(points: FloatArray) -> bool:
 def below_ceiling(points_level: FloatArray, planes: FloatArray) -> FloatArray:
     """Distance (n,) float32 of points (n, 3) below the ceiling nearest in height, negative above.
 
-    planes: (c, 3) as from `plane_rows`; the distance is infinite where there is none.
+    planes: (c, 3) as from `plane_rows`; the distance is infinite without a plane.
     """
     return np.asarray(_below(points_level, np.ascontiguousarray(planes, np.float64)))
 

@@ -14,8 +14,10 @@ from ffmap.algorithms.scan.rearrangement import Returns
 from ffmap.algorithms.scan.wall_planes import WallPlanes
 
 _WALL_DISTANCE_M = 0.05
-"""Maximum distance (m) from the plane of the uppermost return of the wall in a line; what is higher
-is the ceiling or something else."""
+"""Maximum distance (m) from the plane of the uppermost return of the wall in a line.
+
+A higher return is the ceiling or another object.
+"""
 _BEFORE_M = 0.08  # a return farther before the plane (m) hides the wall and is ignored
 _DEPTH_MAX_M = 0.5
 """Maximum depth (m) that a return counts with: a few far returns through an open door would

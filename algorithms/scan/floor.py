@@ -33,7 +33,7 @@ class Floor(HorizontalPlane):
         piece first; (0, 3) where the floor is one plane.
     is_foot: whether the floor is the higher of its pieces, as at a ramp's foot, or the lower.
     rejected_m: height above the floor of a surface that covers more ground but is not below the
-        robot, as outside a window; 0 where there is none.
+        robot, as outside a window; 0 without such ground.
     """
 
     pieces: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))

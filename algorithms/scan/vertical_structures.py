@@ -45,7 +45,7 @@ class VerticalStructures:
     difference: (L, 200) float32, eq. 2 as printed: the change of horizontal range by the change of
         height between neighbouring samples; NaN at the first sample, between equal heights, and in
         lines without samples.
-    slope: (L, 200) float32, the same over a fixed span, which decides; NaN where there is none.
+    slope: (L, 200) float32, the same over a fixed span, which decides; NaN where undefined.
     upright: (L, 200) whether |slope| is below the threshold.
     line, first, last: (S,) int32, each structure's line, first and last sample (inclusive).
     bottom_m, top_m: (S,) float32, heights above the floor of its lowest and highest sample.

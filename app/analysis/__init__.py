@@ -1,1 +1,1 @@
-"""What is computed of finished runs: figures against the truth, differences, faults."""
+"""Figures, differences and errors of finished runs."""

@@ -147,7 +147,7 @@ def _of_each(
 
 
 def _counts(by: str) -> dict[str, Figure]:
-    """Describe what is right, wrong and missed, in points or by area."""
+    """Describe right, wrong and missed labels, in points or by area."""
     names = ("right", "wrong", "missed")
     if by.startswith("points"):
         return {name: Figure(name) for name in names}

@@ -1,4 +1,4 @@
-"""One scan of a finished run, labelled again with all evidence, and what is wrong with it."""
+"""One scan of a finished run, labelled again with all evidence, and its errors."""
 
 from dataclasses import dataclass
 
@@ -256,7 +256,7 @@ def _wrong(run: FinishedRun, number: int, count: int) -> BoolArray | None:
 
 
 def faults_in_words(faults: ScanFaults | None, lines: PointLines) -> str:
-    """Return a sentence on what is marked, and where most of it is."""
+    """Return a sentence on the marked returns, and where most of them are."""
     if faults is None:
         return "Nothing is marked: the run has no final labels (`label`) of this scan."
     total = f"{len(faults.fault):,}"

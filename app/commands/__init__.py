@@ -1,1 +1,1 @@
-"""One file for each command of ffmap: what it asks, calls and prints."""
+"""One file per command of ffmap."""

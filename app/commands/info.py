@@ -1,4 +1,4 @@
-"""ffmap info: the content of a bag, the roles of its lidars, and what is missing."""
+"""ffmap info: the content of a bag, the roles of its lidars, and missing data."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence

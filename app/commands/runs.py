@@ -80,7 +80,7 @@ def runs(
 def find_runs(root: Path) -> list[Path]:
     """Return the run folders in a folder, or the folder itself; links are ignored.
 
-    Raises InputError if there is none.
+    Raises InputError if the folder has no run.
     """
     if not root.is_dir():
         raise InputError(f"{root}: is no folder; give a folder of runs")

@@ -40,7 +40,7 @@ class FinishedRun:
 
     @property
     def outcome(self) -> str:
-        """complete, aborted, running, or killed: nobody writes to a run that is running."""
+        """complete, aborted, running, or killed (running, but no process holds its folder)."""
         outcome = str(self.record.get("outcome", "unknown"))
         return "killed" if outcome == "running" and not is_held(self.path) else outcome
 
@@ -137,7 +137,7 @@ class FinishedRun:
         return validate(settings, str(self.path / RUN_JSON))
 
     def part(self, name: str) -> Mapping[str, Any]:
-        """Return a mapping in run.json; empty where there is none."""
+        """Return a mapping in run.json; empty if it is missing."""
         return self.record.get(name) or {}
 
 

@@ -90,7 +90,7 @@ class RunFolder:
         return self.path / SPOOL
 
     def read_json(self) -> dict[str, Any]:
-        """Read run.json. Raises InputError where there is none or it is damaged."""
+        """Read run.json. Raises InputError where it is missing or damaged."""
         path = self.path / RUN_JSON
         if not self.path.is_dir() or not os.path.lexists(path):
             raise InputError(
@@ -179,13 +179,13 @@ def _check_replaceable(folder: RunFolder, overwrite: bool, inputs: Iterable[Path
 def held(path: Path, patience_s: float = _PATIENCE_S) -> Iterator[bool]:
     """Lock a run folder, or another file, until the context or the process ends.
 
-    Yields False where it cannot be locked, as on some network drives: then nobody is kept out.
+    Yields False where it cannot be locked, as on some network drives.
     Raises InputError where another run has locked it.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY)
     except OSError:
-        # Whoever reads or writes there reports the problem.
+        # The next read or write reports the problem.
         yield False
         return
     try:

@@ -46,7 +46,7 @@ _FLOAT16_MAX = 65504.0
 
 
 def log_color_scale(log: Log, slope_max: float) -> None:
-    """Log what is the same for all scans: colours, frames, thresholds, titles.
+    """Log the static data of all scans: colours, frames, thresholds, titles.
 
     slope_max: the threshold of eq. 2.
     """

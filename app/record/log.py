@@ -1,4 +1,4 @@
-"""Write access to a recording: a stream, the time of what is logged, and the detail of a run."""
+"""Write access to a recording: a stream, the current time, and the detail of a run."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -43,14 +43,14 @@ class Log:
     scan_stamps_ns: IntArray | None = None
 
     def at(self, stamp_ns: int, index: int | None = None) -> None:
-        """Set the time, and the scan, of what is logged next."""
+        """Set the time and the scan of the next rows."""
         self.stream.reset_time()
         self.stream.set_time(STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
         if index is not None:
             self.stream.set_time(SCAN_TIMELINE, sequence=index)
 
     def at_line(self, line: int) -> None:
-        """Set the point line of what is logged next, in a recording of one scan."""
+        """Set the point line of the next rows, in a recording of one scan."""
         self.stream.reset_time()
         self.stream.set_time(LINE_TIMELINE, sequence=line)
 

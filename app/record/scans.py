@@ -63,7 +63,7 @@ METRICS = (
 
 
 def log_scan_classes(log: Log, slope_max: float) -> None:
-    """Log names and colours of what is logged of scans. slope_max: the threshold of eq. 2."""
+    """Log names and colours of the entities of scans. slope_max: the threshold of eq. 2."""
     for path, (name, color) in _LABEL_COUNTS.items():
         log.curve_style(path, name, color)
     if log.detail is Detail.LINES:

@@ -70,7 +70,7 @@ class Recording:
         self.cut()
 
     def cut(self) -> None:
-        """Write all that was logged until now; a kill loses only what is logged later."""
+        """Write all logged data; a kill loses only later data."""
         try:
             self.stream.flush()
         except RuntimeError:

@@ -27,7 +27,7 @@ from ffmap.blueprints.entities import CLASSES, Color
 _OWN_BODY_COLOR: Color = (255, 120, 200)
 _GLANCE_SCANS = """\
 **One scan of the vertical lidar, and the map up to it.** Move the time cursor at the bottom to \
-see other scans. Upper left: every return in the colour of its label. Below: how walls are detected. \
+see other scans. Upper left: returns in the colours of their labels. Below: detection of walls. \
 Right: the result of all scans."""
 _GLANCE_MAP = """\
 **The building from all scans**: its cloud, walls, doors, windows, grid map, and what was measured \

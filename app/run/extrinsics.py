@@ -144,8 +144,8 @@ class CheckedExtrinsics:
             f"{self.off_deg:.1f} deg and {100 * self.off_m:.1f} cm, or its clock by "
             f"{1e3 * found.clock_s:+.0f} ms, as the whole drive shows. Surfaces that both lidars "
             f"see are {100 * found.rms_before_m:.1f} cm apart, and "
-            f"{100 * found.rms_after_m:.1f} cm with extrinsics that fit. Run 'ffmap calibrate {bag} "
-            f"--out rig.toml', then 'ffmap run {bag} --rig rig.toml'"
+            f"{100 * found.rms_after_m:.1f} cm with extrinsics that fit. Run "
+            f"'ffmap calibrate {bag} --out rig.toml', then 'ffmap run {bag} --rig rig.toml'"
         )
 
 

@@ -101,7 +101,7 @@ class Report:
             self._recording.add(part)
 
     def flush(self) -> None:
-        """Append to the recording's file; a kill loses only what is logged later."""
+        """Append to the recording's file; a kill loses only later data."""
         if self._recording is not None:
             self._recording.cut()
 

@@ -50,7 +50,7 @@ def make_pool(workers: int) -> Iterator[Executor]:
     except BaseException as error:
         pool.shutdown(wait=False, cancel_futures=True)
         if isinstance(error, KeyboardInterrupt | BrokenProcessPool):
-            # Files are complete or absent: nobody waits for unfinished jobs. The pool waits for
+            # Files are complete or absent: unfinished jobs are not needed. The pool waits for
             # ever for a worker that it was starting when another one was killed.
             for process in mp.active_children():
                 process.terminate()

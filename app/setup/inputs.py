@@ -164,7 +164,7 @@ def why_skipped(bag_path: BagPath, sensor: Sensor, clouds: Sequence[int]) -> str
 
 
 def check_failed(bag_path: BagPath, failed: Sequence[SkippedScan], scans: int, what: str) -> None:
-    """Raise InputError where so many scans failed that the cause is in all of them."""
+    """Raise InputError if too many scans failed."""
     if len(failed) > _FAILED_SHARE_MAX * scans:
         why = commonest([scan.reason for scan in failed])
         count = sum(scan.reason == why for scan in failed)
@@ -177,4 +177,4 @@ def check_failed(bag_path: BagPath, failed: Sequence[SkippedScan], scans: int, w
 
 def commonest(reasons: Sequence[str]) -> str:
     """Find the commonest reason; of several the first by the alphabet."""
-    return max(sorted(set(reasons)), key=list(reasons).count, default="there is none")
+    return max(sorted(set(reasons)), key=list(reasons).count, default="no reason is known")

@@ -6,7 +6,7 @@ from ffmap.loaders.errors import InputError
 
 
 class Detail(StrEnum):
-    """What is recorded of each scan."""
+    """Detail of the recording of each scan."""
 
     LINES = "lines"
     """Every intermediate."""

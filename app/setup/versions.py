@@ -19,7 +19,7 @@ def versions() -> dict[str, str]:
 
 
 def git_revision() -> str:
-    """Return the commit of the checkout, with + if files differ; empty where there is none."""
+    """Return the commit of the checkout, with + if files differ; empty outside a checkout."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return ""

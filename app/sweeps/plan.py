@@ -148,7 +148,7 @@ class Study:
         self._failed = optuna.trial.TrialState.FAIL
 
     def batches(self, count: int, size: int) -> Iterator[list[tuple[Any, Combination]]]:
-        """Yield trials with their combinations; report each batch by `tell` before the next."""
+        """Yield trials with their combinations; each batch needs its results before the next."""
         for first in range(0, count, size):
             trials = [self._study.ask() for _ in range(min(size, count - first))]
             yield [(trial, suggest(trial, self._parameters)) for trial in trials]

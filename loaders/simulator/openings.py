@@ -11,7 +11,16 @@ import shapely
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.loaders.simulator.glass import Glass
 from ffmap.loaders.simulator.mesh import Rng, Span, Spot, length_of, spot_on
-from ffmap.loaders.simulator.plan import LEAF_M, SKIN_M, Door, Opening, Room, Window, façades, shared_walls  # fmt: skip
+from ffmap.loaders.simulator.plan import (
+    LEAF_M,
+    SKIN_M,
+    Door,
+    Opening,
+    Room,
+    Window,
+    facades,
+    shared_walls,
+)
 from ffmap.loaders.simulator.settings import LeafPlace, SimulationSettings, choose, draw
 
 CASING_WIDTH_M = 0.07
@@ -135,11 +144,11 @@ def draw_windows(
     rooms: Sequence[Room], doors: Sequence[Door], outer_m: float, settings: SimulationSettings,
     rng: Rng
 ) -> list[Window]:  # fmt: skip
-    """Draw windows in façades, mostly alike, and glazed walls between rooms and the corridor."""
+    """Draw windows in facades, mostly alike, and glazed walls between rooms and the corridor."""
     usual, glass = choose(settings.window, rng), _draw_glass(settings, rng)
     windows: list[Window] = []
     for room in rooms:
-        for ends in façades(room, rooms):
+        for ends in facades(room, rooms):
             style = usual if rng.random() < 0.5 else choose(settings.window, rng)
             sill_m, depth = draw(settings.sill_m, rng), (SKIN_M - outer_m, SKIN_M)
             row = _row(style, ends, (sill_m, room.ceiling_m), depth, glass, rng)

@@ -240,7 +240,7 @@ def shared_walls(front: shapely.Polygon, back: shapely.Polygon) -> list[FloatArr
     return _oriented(front.boundary.intersection(back.boundary), front)
 
 
-def façades(room: Room, rooms: Sequence[Room]) -> list[FloatArray]:
+def facades(room: Room, rooms: Sequence[Room]) -> list[FloatArray]:
     """Return the stretches (2, 2) of an outline that touch no other room, the room on the left."""
     others = shapely.union_all([other.outline for other in rooms if other is not room])
     return _oriented(room.outline.boundary.difference(others.buffer(1e-4)), room.outline)

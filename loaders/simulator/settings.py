@@ -186,7 +186,7 @@ in a hall; three rooms or four; homes; offices and shops; schools, hospitals, mu
 
 
 def _preset(building: object) -> Mapping[str, Any]:
-    """Return a preset by its name. Raises InputError if there is none."""
+    """Return a preset by its name. Raises InputError if it is unknown."""
     if not isinstance(building, str) or building not in PRESETS:
         close = get_close_matches(str(building), PRESETS, 1)
         hint = f"did you mean '{close[0]}'? There" if close else "there"

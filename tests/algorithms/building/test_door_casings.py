@@ -7,7 +7,14 @@ import pytest
 
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors
-from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    SQUARES,
+    SUM,
+    THROUGH,
+    WallCells,
+    first_columns,
+)
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import faces, traced
 

@@ -6,7 +6,14 @@ import pytest
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors, Walls
-from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    SQUARES,
+    SUM,
+    THROUGH,
+    WallCells,
+    first_columns,
+)
 from ffmap.algorithms.building.shades import pictures, response_by_angle, shades
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import faces, traced

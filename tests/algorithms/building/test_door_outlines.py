@@ -5,7 +5,14 @@ import pytest
 
 from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings, find_outlined_doors
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Doors, Walls
-from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells, first_columns
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    SQUARES,
+    SUM,
+    THROUGH,
+    WallCells,
+    first_columns,
+)
 from ffmap.algorithms.building.shades import pictures
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import faces, traced

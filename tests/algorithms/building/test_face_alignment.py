@@ -5,7 +5,11 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.face_alignment import AlignedFaces, FaceAlignmentSettings, align_faces
+from ffmap.algorithms.building.face_alignment import (
+    AlignedFaces,
+    FaceAlignmentSettings,
+    align_faces,
+)
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings

@@ -5,7 +5,14 @@ import pytest
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.face_alignment import AlignedFaces
-from tests.algorithms.building.test_face_alignment import TURNS, aligned_by, face, surface, turned, votes_of
+from tests.algorithms.building.test_face_alignment import (
+    TURNS,
+    aligned_by,
+    face,
+    surface,
+    turned,
+    votes_of,
+)
 
 
 def distances_m(aligned: AlignedFaces, turn_deg: float) -> FloatArray:

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.face_columns import FaceColumnsSettings, Storey, TracedFaces, above_doors_m
+from ffmap.algorithms.building.face_columns import (
+    FaceColumnsSettings,
+    Storey,
+    TracedFaces,
+    above_doors_m,
+)
 from ffmap.algorithms.building.face_verdicts import (
     FaceVerdict,
     JudgedFaces,
@@ -21,7 +26,14 @@ from ffmap.algorithms.building.face_verdicts import (
 )
 from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, NO_WALLS, NO_WINDOWS, BuildingSettings, Walls
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_DOORS,
+    NO_WALLS,
+    NO_WINDOWS,
+    BuildingSettings,
+    Walls,
+)
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.building.windows import without_panes

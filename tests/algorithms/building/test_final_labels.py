@@ -11,7 +11,12 @@ from ffmap.algorithms.base.plan_index import index_near
 from ffmap.algorithms.building import final_labels
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
-from ffmap.algorithms.building.final_labels import BuildingModel, Relabelled, Relabelling, RelabellingSettings
+from ffmap.algorithms.building.final_labels import (
+    BuildingModel,
+    Relabelled,
+    Relabelling,
+    RelabellingSettings,
+)
 from ffmap.algorithms.building.halo import HaloSettings, find_halo
 from ffmap.algorithms.building.height_map import HeightMap, Surface
 from ffmap.algorithms.building.label_reasons import REASONS, SURFACE_REASONS, Reason

@@ -20,7 +20,12 @@ from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
-from ffmap.algorithms.building.face_verdicts import FaceVerdict, JudgedFaces, StandingWallsSettings, judge_faces
+from ffmap.algorithms.building.face_verdicts import (
+    FaceVerdict,
+    JudgedFaces,
+    StandingWallsSettings,
+    judge_faces,
+)
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
@@ -28,7 +33,11 @@ from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
-from ffmap.algorithms.building.missed_walls import MissedWalls, MissedWallsSettings, find_missed_walls
+from ffmap.algorithms.building.missed_walls import (
+    MissedWalls,
+    MissedWallsSettings,
+    find_missed_walls,
+)
 from ffmap.algorithms.building.model import BuildingSettings, Mullions, Walls, Windows
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import THROUGH

@@ -18,7 +18,14 @@ from ffmap.algorithms.building.glass_fronts import (
     set_in_walls,
 )
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_WALLS,
+    NO_WINDOWS,
+    BuildingSettings,
+    Walls,
+    Windows,
+)
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
 from ffmap.algorithms.scan.summary import Features, concatenate

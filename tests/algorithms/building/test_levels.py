@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.ceilings import map_ceilings, map_glimpsed_ceilings, map_sloping_ceilings, of_rooms
+from ffmap.algorithms.building.ceilings import (
+    map_ceilings,
+    map_glimpsed_ceilings,
+    map_sloping_ceilings,
+    of_rooms,
+)
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.floors import map_floors_beyond, map_raised_floors, map_step_fronts
 from ffmap.algorithms.building.height_map import HeightMap, corrected, median_around

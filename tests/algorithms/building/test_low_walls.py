@@ -10,7 +10,13 @@ from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.building.face_columns import TracedFaces
 from ffmap.algorithms.building.low_walls import LowWallsSettings, find_low_walls, without_low_walls
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls
-from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, THROUGH, WallCells, first_columns
+from ffmap.algorithms.building.ray_evidence import (
+    FILLED,
+    SQUARES,
+    THROUGH,
+    WallCells,
+    first_columns,
+)
 from ffmap.algorithms.building.unexplained_lines import Line
 from tests.faces import faces, traced
 

@@ -7,7 +7,14 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.model import CELL_M, NO_MULLIONS, NO_WINDOWS, BuildingSettings, Mullions, Windows
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_MULLIONS,
+    NO_WINDOWS,
+    BuildingSettings,
+    Mullions,
+    Windows,
+)
 from ffmap.algorithms.building.mullions import find_mullions
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
 from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays

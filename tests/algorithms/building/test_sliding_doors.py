@@ -10,7 +10,12 @@ from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, Windows
 from ffmap.algorithms.building.ray_evidence import FILLED, SQUARES, SUM, THROUGH, WallCells
-from ffmap.algorithms.building.sliding_doors import HangingLeaf, find_hanging_leaves, find_sliding_doors, sliding_panes
+from ffmap.algorithms.building.sliding_doors import (
+    HangingLeaf,
+    find_hanging_leaves,
+    find_sliding_doors,
+    sliding_panes,
+)
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import faces, traced
 

@@ -38,7 +38,15 @@ from ffmap.blueprints import entities
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
-from tests.program import FFMAP, FFMAP_BEHIND, FFMAP_IN_FRONT, ffmap, ffmap_here, kill_once, with_cache
+from tests.program import (
+    FFMAP,
+    FFMAP_BEHIND,
+    FFMAP_IN_FRONT,
+    ffmap,
+    ffmap_here,
+    kill_once,
+    with_cache,
+)
 from tests.receiver import content, receiving, shown
 
 ROOT = Path(__file__).parents[3]
