@@ -1,5 +1,6 @@
 """ffmap view: runs and single recordings in the Rerun viewer."""
 
+import os
 import shlex
 import signal
 import socket
@@ -13,7 +14,6 @@ from importlib import metadata
 from pathlib import Path
 from urllib.parse import quote
 
-import psutil
 import typer
 
 from ffmap.app.folder.finished_run import FinishedRun, open_run
@@ -96,7 +96,7 @@ def _serve(files: Sequence[Path]) -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     with (
         tempfile.TemporaryFile() as log,
-        subprocess.Popen(command, stdout=log, stderr=log) as server,
+        subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True) as server,
     ):
         try:
             while not (listens(data_port) and listens(page_port)):
@@ -116,11 +116,9 @@ def _serve(files: Sequence[Path]) -> None:
         except KeyboardInterrupt:
             typer.echo("stopped")
         finally:
-            # The server is a child of the Python that started it.
-            with suppress(psutil.NoSuchProcess):
-                started = psutil.Process(server.pid)
-                for process in (*started.children(recursive=True), started):
-                    process.terminate()
+            # The server is a child of the Python that started it, in the same session.
+            with suppress(ProcessLookupError):
+                os.killpg(server.pid, signal.SIGTERM)
 
 
 def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]:

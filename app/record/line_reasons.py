@@ -100,14 +100,14 @@ def _has_samples(labelling: ScanLabelling, line: int) -> Condition:
     lines, least = labelling.lines, labelling.settings.rearrangement.line_points_min
     returns, met = lines.starts[line + 1] - lines.starts[line], lines.samples[line, 0] >= 0
     name = "III.A: returns without floor and ceiling"
-    return Condition(name, f"of {returns} in all", f"≥ {least}", bool(met))
+    return Condition(name, f"of {returns} returns", f"≥ {least}", bool(met))
 
 
 def _has_structure(labelling: ScanLabelling, line: int) -> Condition:
     structures, settings = labelling.structures, labelling.settings.vertical_structures
     found = np.count_nonzero(structures.line == line)
     name = "III.B, eq. 2: neighbouring upright samples, without a jump"
-    measured = f"at most {_longest_run(structures.upright[line])}, in {found} structures"
+    measured = f"longest run {_longest_run(structures.upright[line])}, {found} structures"
     limit = f"≥ {settings.points_min} within ±{settings.slope_max:g}"
     return Condition(name, measured, limit, bool(found))
 
