@@ -54,7 +54,7 @@ def of_topics(bag: Path, topics: Sequence[str]) -> Path:
 
 
 def in_packets(bag: Path, topics: Sequence[str]) -> Path:
-    """The bag beside it with each revolution of these topics in many messages, each with the stamp of its first firing."""
+    """The bag beside it with each revolution of these topics in messages of equal duration."""
     with open_bag(bag) as opened:
         raws = [
             packet
@@ -69,11 +69,13 @@ def _packets(bag: Bag, raw: RawMessage) -> Iterator[RawMessage]:
     stamp_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
     points = np.asarray(message.data).reshape(-1, message.point_step)
     at = next(field.offset for field in message.fields if field.name == "time")
-    for number, rows in enumerate(np.array_split(points, PACKETS)):
-        part = rows.copy()
-        times_s = part[:, at : at + 4].copy().view("<f4")
-        first_ns = round(1e9 * float(times_s[0, 0]))
-        part[:, at : at + 4] = (times_s - times_s[0, 0]).view(np.uint8)
+    times_s = points[:, at : at + 4].copy().view("<f4")[:, 0]
+    numbers = np.clip(times_s * 1e9 * PACKETS / PERIOD_NS, 0, PACKETS - 1).astype(int)
+    for number in range(PACKETS):
+        first_ns = number * PERIOD_NS // PACKETS
+        part = points[numbers == number].copy()
+        since_s = times_s[numbers == number] - np.float32(1e-9 * first_ns)
+        part[:, at : at + 4] = since_s[:, None].view(np.uint8)
         packet: Message = replace(
             message,
             header=header(bag.typestore.types, stamp_ns + first_ns, message.header.frame_id),
