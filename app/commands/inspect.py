@@ -139,3 +139,4 @@ def _print_changes(inspected: InspectedScan) -> None:
 def _print_reason(reason: LineReason) -> None:
     title = f"{name_of(reason.line)}: {LINE_OUTCOMES[reason.outcome][0]}"
     _print(title, CONDITION_HEADINGS, condition_rows(reason.conditions), (0, 1, 2, 3))
+    typer.echo(reason.sentence)

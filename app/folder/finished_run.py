@@ -134,7 +134,12 @@ class FinishedRun:
         settings = self.record.get("settings")
         if settings is None:
             raise InputError(f"{self.path / RUN_JSON}: has no settings; run ffmap again")
-        return validate(settings, str(self.path / RUN_JSON))
+        try:
+            return validate(settings, RUN_JSON)
+        except InputError as error:
+            raise InputError(
+                f"{self.path}: was made by another version of ffmap ({error}); run ffmap again"
+            ) from None
 
     def part(self, name: str) -> Mapping[str, Any]:
         """Return a mapping in run.json; empty if it is missing."""

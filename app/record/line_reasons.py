@@ -38,6 +38,11 @@ class LineReason:
     short: str
     conditions: tuple[Condition, ...]
 
+    @property
+    def sentence(self) -> str:
+        """The result as a sentence; empty without one."""
+        return f"{self.short[:1].upper()}{self.short[1:]}." if self.short else ""
+
 
 def line_outcomes(labelling: ScanLabelling) -> list[LineOutcome]:
     """Return the outcome of each line."""
@@ -268,6 +273,7 @@ def line_document(labelling: ScanLabelling, reason: LineReason, note: str = "") 
     headings = "first sample", "last sample", "bottom (m)", "top (m)", "role"
     parts = [
         f"# {name_of(reason.line).capitalize()}: {LINE_OUTCOMES[reason.outcome][0]}",
+        reason.sentence,
         note,
         table(CONDITION_HEADINGS, condition_rows(reason.conditions)).replace(" no |", " **no** |"),
         f"## Its vertical structures, upwards\n\n{table(headings, rows)}" if rows else "",
