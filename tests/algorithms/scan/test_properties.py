@@ -109,6 +109,14 @@ def is_sound(plane: HorizontalPlane, slope_max: float, cloud: np.ndarray) -> boo
     )
 
 
+def levels(*heights_m: float) -> np.ndarray:
+    """A cloud (n, 3) of level surfaces, one above the other."""
+    generator = np.random.default_rng(0)
+    cloud = generator.uniform(-4, 4, (600 * len(heights_m), 3))
+    cloud[:, 2] = np.tile(heights_m, 600) + generator.normal(0, 0.01, len(cloud))
+    return cloud.astype(np.float32)
+
+
 class TestHorizontalPlanes:
     def test_any_cloud_has_a_floor(self) -> None:
         found = Counter[bool]()
@@ -135,6 +143,9 @@ class TestHorizontalPlanes:
         @given(cloud=WILD, seed=SEEDS)
         @example(np.zeros((0, 3), np.float32), 0)
         @example(np.full((1000, 3), 2.5, np.float32), 0)
+        @example(levels(2.5), 0)
+        @example(levels(2.5, 3.2), 0)
+        @example(levels(2.5, 3.0, 3.6), 0)
         def check(cloud: np.ndarray, seed: int) -> None:
             floor = Floor(0.0, np.zeros(2), 0)
             ceilings = find_ceilings(cloud, cloud[:, 2], floor, REARRANGEMENT, seed)
@@ -146,7 +157,29 @@ class TestHorizontalPlanes:
             found[len(ceilings)] += 1
 
         check()
-        assert min(found[0], found[1] + found[2] + found[3]) > 1, found  # none and some
+        assert min(found[0], found[1], found[2] + found[3]) > 1, found  # none, one and several
+
+    @settings(seeded, max_examples=40)
+    @given(
+        steepness=reals(0.0, 0.06),
+        towards_rad=reals(-3.1, 3.1),
+        bound=st.sampled_from([0.0, 0.03, 0.09]),
+        seed=SEEDS,
+    )
+    @example(0.06, 0.5, 0.03, 0)
+    @example(0.06, 0.5, 0.0, 0)
+    def test_the_slope_of_a_floor_is_found_up_to_its_bound(
+        self, steepness: float, towards_rad: float, bound: float, seed: int
+    ) -> None:
+        generator = np.random.default_rng(seed)
+        slope = steepness * np.array([np.cos(towards_rad), np.sin(towards_rad)])
+        cloud = generator.uniform(-3, 3, (6000, 3))
+        cloud[:, 2] = cloud[:, :2] @ slope + generator.normal(0, 0.005, 6000)
+        bounded = REARRANGEMENT.model_copy(update={"floor_slope_max": bound})
+        floor = find_floor(cloud.astype(np.float32), bounded)
+        expected = slope * min(1.0, bound / max(steepness, 1e-12))
+        np.testing.assert_allclose(floor.slope, expected, atol=0.002)
+        assert np.hypot(*floor.slope) <= bound + 1e-9
 
 
 ROOM = synthetic.scan(firings=700)

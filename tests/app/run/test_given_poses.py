@@ -138,6 +138,18 @@ def test_poses_that_no_robot_has_are_refused(
             given(inputs, path, T, stamp_ns)
 
 
+def test_poses_in_centimetres_are_refused(tmp_path: Path) -> None:
+    """In rooms off a corridor; along one corridor alone, poses 100 times too far apart may fit."""
+    path = tmp_path / "drive.bag"
+    simulate(path, SimulationSettings(building="ell", seed=2, sensor="vlp16", duration_s=14.0))
+    inputs = find_inputs(path, RunOptions())
+    true = given_poses(POSE_TOPIC, inputs, Settings())
+    assert true is not None
+    T, stamp_ns = true.trajectory.T_map_base, true.trajectory.stamp_ns
+    with pytest.raises(InputError, match="saw at different times are"):
+        given(inputs, tmp_path / "a.tum", _scaled(T, 100.0), stamp_ns)
+
+
 def _scaled(poses: FloatArray, scale: float, step_m: float = 0.0) -> FloatArray:
     """Poses with scaled positions, and a step along x from each to the next."""
     T = poses.copy()
