@@ -32,7 +32,14 @@ from ffmap.app.record.shapes import (
 )
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints import entities
-from ffmap.blueprints.entities import CLASSES, DOOR_COLOR, Color
+from ffmap.blueprints.entities import (
+    BOTTOMMOST_COLOR,
+    CLASSES,
+    DOOR_COLOR,
+    UPMOST_COLOR,
+    WALL_COLOR,
+    Color,
+)
 
 _LINE_STEP, _SPAN_STEP, _OUTLINE_STEP = 3, 8, 13
 """Only every n-th sample of lines and candidates, and return of outlines, is drawn: size."""
@@ -51,12 +58,19 @@ _DOOR_CONDITIONS: dict[int, tuple[str, Color]] = {
 """By the number of the paper's conditions that hold, in order."""
 
 _LABEL_COUNTS = {f"/metrics/labels/{CLASSES[label][0]}": CLASSES[label] for label in Label}
+_COUNTS: dict[str, tuple[str, Color]] = {
+    "/metrics/counts/lines": ("point lines", (170, 174, 182)),
+    "/metrics/counts/structures": ("vertical structures", BOTTOMMOST_COLOR),
+    "/metrics/counts/candidates": ("wall candidates", UPMOST_COLOR),
+    "/metrics/counts/planes": ("wall planes", WALL_COLOR),
+    "/metrics/counts/door_lines": ("door lines", DOOR_COLOR),
+    "/metrics/counts/openings": ("openings", DOOR_COLOR),
+}
 METRICS = (
     *("/metrics/milliseconds/reading", "/metrics/milliseconds/smoothing"),
     *("/metrics/milliseconds/placing", "/metrics/milliseconds/labelling"),
     *_LABEL_COUNTS,
-    *("/metrics/counts/lines", "/metrics/counts/structures", "/metrics/counts/candidates"),
-    *("/metrics/counts/planes", "/metrics/counts/door_lines", "/metrics/counts/openings"),
+    *_COUNTS,
     *("/metrics/ranges/scatter_mm", "/metrics/ranges/measured_alone_percent"),
 )
 """The entities of `scan_metrics`."""
@@ -64,7 +78,7 @@ METRICS = (
 
 def log_scan_classes(log: Log, slope_max: float) -> None:
     """Log names and colours of the entities of scans. slope_max: the threshold of eq. 2."""
-    for path, (name, color) in _LABEL_COUNTS.items():
+    for path, (name, color) in (_LABEL_COUNTS | _COUNTS).items():
         log.curve_style(path, name, color)
     if log.detail is Detail.LINES:
         log.static("/scan/lines", annotations(entities.LINE_OUTCOMES))
