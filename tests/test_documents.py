@@ -42,6 +42,18 @@ def rows(document: str, heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.group().splitlines()[2:]]
 
 
+def test_the_first_page_states_the_measured_figures() -> None:
+    for name, title in (("named", "8 kinds of buildings"), ("drawn", "12 buildings drawn")):
+        text = (ROOT / "docs" / "measured.md").read_text("utf-8")
+        table = text.split(f"<!-- table {name} -->\n")[1].split("<!-- end -->")[0]
+        mean = next(line for line in table.splitlines() if "mean, or sum" in line).split(" | ")
+        first = (ROOT / "README.md").read_text("utf-8")
+        stated = re.search(rf"^\| {title}.*(?= \|$)", first, re.MULTILINE)[0].split(" | ")
+        found, passed = map(int, mean[7].split(" of "))
+        assert stated[1:5] == [mean[1].split(" / ")[2], *mean[2:5]]
+        assert stated[5:] == [f"{100 * found / passed:.1f}", mean[11].strip(" |")]
+
+
 def test_each_part_of_the_paper_has_its_file() -> None:
     table = rows("method.md", "Sections of the paper")
     told = " ".join(paper for paper, _, _ in table)

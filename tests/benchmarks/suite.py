@@ -1,17 +1,18 @@
 """Simulate, run and evaluate drives through buildings of many kinds; print tables of figures.
 
-    python tests/benchmarks/suite.py runs/suite.json
-    python tests/benchmarks/suite.py runs/drawn.json --suite drawn
-    python tests/benchmarks/suite.py runs/quick.json --quick --cases office "hall, ramp"
+    python tests/benchmarks/suite.py runs/named.json --write
+    python tests/benchmarks/suite.py runs/drawn.json --suite drawn --write
+    python tests/benchmarks/suite.py runs/quick.json --duration 40 --cases office "hall, ramp"
 
 Every drive is simulated, run as a user runs it, evaluated, and deleted. Its figures are kept in the
-JSON file; drives in the file are not made again. No threshold is set on the reported seeds, only on
-lower ones.
+JSON file; drives in the file are not made again. --write replaces the tables in docs/measured.md.
+No threshold is set on the reported seeds, only on lower ones.
 """
 
 import argparse
 import json
 import os
+import re
 import statistics
 import subprocess
 import sys
@@ -22,8 +23,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from ffmap.app.analysis.figures import FIGURES, MAPS
+
 FFMAP = str(Path(sys.executable).with_name("ffmap"))
-QUICK_S = 40.0
 NAMED = {
     "office": {"building": "office"},
     "crammed office": {"building": "office", "clutter": 1.0, "walking_people": 3},
@@ -95,33 +97,38 @@ DRAWN = {
     },
     "institution, empty": {"building": "institution", "speed_mps": 0.9, "clutter": 0.15},
 }
-"""Buildings that are drawn from wide ranges; no threshold may be set on them."""
-COLUMNS = {
-    "wall P": "wall.precision",
-    "wall R": "wall.recall",
-    "wall F1": "wall.f1",
-    "ceiling F1": "ceiling.f1",
-    "floor F1": "floor.f1",
-    "closed leaf F1": "door.f1",
-    "clutter F1": "clutter.f1",
-    "outside kept": "outside_kept",
-    "doors found": "doors.recall",
-    "invented": "doors.invented",
-    "state right": "doors.state_right",
-    "width cm": "doors.width_error_m",
-    "map P": "maps.furniture_free.precision",
-    "map R": "maps.furniture_free.recall",
-    "below ceiling P": "maps.below_ceiling.precision",
-    "below ceiling R": "maps.below_ceiling.recall",
-    "middle P": "maps.middle.precision",
-    "middle R": "maps.middle.recall",
-    "rooms R": "rooms.furniture_free.recall",
-    "rooms P": "rooms.furniture_free.precision",
-    "ATE cm": "trajectory.ate_rmse_m",
+"""Buildings drawn from wide ranges, 45 s each; no threshold may be set on them."""
+SUITES = {"named": (NAMED | LONG, 60.0, 1001), "drawn": (DRAWN, 45.0, 7401)}
+"""Cases, seconds of driving, and the seed."""
+DRIVES = {
+    "wall P / R / F1": "{wall.precision} / {wall.recall} / {wall.f1}",
+    "ceiling F1": "{ceiling.f1}",
+    "floor F1": "{floor.f1}",
+    "closed leaf F1": "{door.f1}",
+    "clutter F1": "{clutter.f1}",
+    "outside kept": "{outside_kept}",
+    "doors found": "{doors.found_count} of {doors.passed}",
+    "invented": "{doors.invented_count} of {doors.detections}",
+    "map P / R": "{maps.furniture_free.precision} / {maps.furniture_free.recall}",
+    "rooms R / P": "{rooms.furniture_free.recall} / {rooms.furniture_free.precision}",
+    "ATE": "{trajectory.ate_rmse_m} cm",
 }
-"""Headings and figures; shares in percent, lengths in centimetres."""
+"""Columns of the table of drives: headings, and cells with the names of figures."""
+OF_MAP = {
+    "precision": "{maps.MAP.precision}",
+    "without cabinets": "{maps.MAP.precision_without_cabinets}",
+    "recall": "{maps.MAP.recall}",
+    "error": "{maps.MAP.error_m} cm",
+    "doors blocked": "{maps.MAP.doors_blocked} of {maps.MAP.doors_passed}",
+}
+PAPER = (
+    "| *paper, its building* | 99.6 / 95.3 / 97.4 | 92.0 | 94.4 | 81.8 | – | by hand | 94.7 % |"
+    " – | – | – | – |"
+)
+DOCUMENT = Path(__file__).parents[2] / "docs" / "measured.md"
 
 Drive = Mapping[str, Any]
+Metrics = Mapping[str, Any]
 
 
 def main() -> int:
@@ -129,14 +136,19 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("out", type=Path, help="JSON file of all figures")
-    parser.add_argument("--suite", choices=("named", "drawn"), default="named")
-    parser.add_argument("--seeds", type=int, nargs="*", help="[default: 1001 1002; drawn: 7401]")
+    parser.add_argument("--suite", choices=SUITES, default="named")
+    parser.add_argument("--seeds", type=int, nargs="*", help="[default: 1001; drawn: 7401]")
     parser.add_argument("--cases", nargs="*", help="some of the cases by their names")
-    parser.add_argument("--quick", action="store_true", help="one seed, short drives, no long ones")
+    parser.add_argument("--duration", type=float, help="seconds of driving, of all cases")
     parser.add_argument("--set", action="append", default=[], help="a setting of the runs")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="drives at once")
+    parser.add_argument("--write", action="store_true", help="write tables into docs/measured.md")
     asked = parser.parse_args()
-    jobs = drives_of(asked.suite, asked.seeds, asked.quick, asked.cases)
+    jobs = [
+        job
+        for job in drives_of(asked.suite, asked.seeds, asked.duration)
+        if not asked.cases or job["case"] in asked.cases
+    ]
     asked.out.parent.mkdir(parents=True, exist_ok=True)
     done = json.loads(asked.out.read_text()) if asked.out.exists() else []
     known = [row["simulation"] for row in done]
@@ -146,26 +158,26 @@ def main() -> int:
             print(row["case"], row["simulation"]["seed"], row.get("error", "done"), flush=True)
             done.append(row)
             asked.out.write_text(json.dumps(done, indent=1))
-    print("\n".join([*table(done), "", *doors_by_design(done), "", *elements(done)]))
+    written = tables(asked.suite, done)
+    print("\n\n".join("\n".join(lines) for lines in written.values()))
+    if asked.write:
+        DOCUMENT.write_text(with_tables(DOCUMENT.read_text("utf-8"), written), "utf-8")
     return 1 if any("error" in row for row in done) else 0
 
 
-def drives_of(
-    suite: str, seeds: Sequence[int] | None, quick: bool, cases: Sequence[str] | None
-) -> list[Drive]:
+def drives_of(suite: str, seeds: Sequence[int] | None, duration_s: float | None) -> list[Drive]:
     """The drives of a suite. In the drawn one no two drives share a seed, and so a building."""
-    drawn = suite == "drawn"
-    seeds = seeds or ((7401,) if drawn else (1001, 1002))
-    duration_s = QUICK_S if quick else 45.0 if drawn else 60.0
+    cases, usual_s, seed = SUITES[suite]
     rows = []
-    for number, (case, own) in enumerate((DRAWN if drawn else NAMED).items()):
-        for seed in seeds[:1] if quick else seeds:
-            simulation = {**own, "seed": seed + drawn * number, "duration_s": duration_s}
+    for number, (case, own) in enumerate(cases.items()):
+        for own_seed in seeds or (seed,):
+            simulation = {"duration_s": usual_s, **own, "seed": own_seed}
+            if suite == "drawn":
+                simulation["seed"] += number
+            if duration_s is not None:
+                simulation["duration_s"] = duration_s
             rows.append({"case": case, "simulation": simulation})
-    if not quick and not drawn:
-        for case, own in LONG.items():
-            rows.append({"case": case, "simulation": {**own, "seed": seeds[0]}})
-    return [row for row in rows if not cases or row["case"] in cases]
+    return rows
 
 
 def drive(job: Drive, overrides: Sequence[str], folder: Path) -> Drive:
@@ -188,56 +200,87 @@ def drive(job: Drive, overrides: Sequence[str], folder: Path) -> Drive:
     return {**job, "metrics": metrics, "seconds": record["timings_s"]["total"]}
 
 
-def table(drives: Iterable[Drive]) -> list[str]:
-    """A Markdown table: the mean over the seeds of each case, and the mean of the cases."""
-    by_case: dict[str, list[list[float | None]]] = defaultdict(list)
+def tables(suite: str, drives: Sequence[Drive]) -> dict[str, list[str]]:
+    """The suite's Markdown tables by their names in docs/measured.md."""
+    by_case: dict[str, list[Metrics]] = defaultdict(list)
     for row in drives:
         if "metrics" in row:
-            values = (row["metrics"].get(name) for name in COLUMNS.values())
-            by_case[row["case"]].append([None if v is None else 100.0 * v for v in values])
-    means = {case: list(map(mean, zip(*rows, strict=True))) for case, rows in by_case.items()}
-    means["**mean**"] = list(map(mean, zip(*means.values(), strict=True)))
-    lines = markdown_head("building", *COLUMNS)
-    for case, row in means.items():
-        cells = ("–" if value is None else f"{value:.1f}" for value in row)
-        lines.append(f"| {case} | {' | '.join(cells)} |")
-    return lines
+            by_case[row["case"]].append(row["metrics"])
+    everything = [metrics for rows in by_case.values() for metrics in rows]
+    found = {suite: drive_table(by_case)}
+    if suite == "named":
+        found["maps"] = markdown_head("map", *OF_MAP)
+        for name in MAPS:
+            cells = {key: cell.replace("MAP", name) for key, cell in OF_MAP.items()}
+            found["maps"].append(filled(name.replace("_", " "), cells, everything))
+    else:
+        found["parts"] = part_table(everything)
+        found["doors"] = door_table(everything)
+    return found
 
 
-def doors_by_design(drives: Iterable[Drive]) -> list[str]:
-    """Doors of all drives by their design."""
-    counted: dict[str, Counter[str]] = defaultdict(Counter)
-    for row in drives:
-        for design, counts in row.get("metrics", {}).get("doors.by_design", {}).items():
-            counted[design].update(counts)
-    keys = ("passed", "found", "state_right")
-    lines = markdown_head("door", *keys)
-    for name, n in sorted(counted.items()):
-        lines.append(f"| {name} | {' | '.join(str(n[key]) for key in keys)} |")
-    return lines
+def drive_table(by_case: Mapping[str, Sequence[Metrics]]) -> list[str]:
+    """A row for each case, their mean, and then the long drives."""
+    lines = {case: filled(case, DRIVES, rows) for case, rows in by_case.items()}
+    long = [lines.pop(case) for case in LONG if case in lines]
+    usual = [metrics for case in lines for metrics in by_case[case]]
+    lines["mean"] = filled("**mean, or sum**", DRIVES, usual)
+    return [*markdown_head("building", *DRIVES), *lines.values(), *([PAPER, *long] if long else [])]
 
 
-def elements(drives: Iterable[Drive]) -> list[str]:
-    """Parts of buildings: the share of their voxels by label."""
+def part_table(rows: Iterable[Metrics]) -> list[str]:
+    """Parts of buildings by the share of their voxels with each label, the worst first."""
     counted: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
-    for row in drives:
-        for name, element in row.get("metrics", {}).get("elements", {}).items():
+    for metrics in rows:
+        for name, element in metrics.get("elements", {}).items():
             counted[name, element["truth"]].update(element["labels"])
     labels = ("wall", "ceiling", "floor", "door", "clutter", "outside")
-    lines = markdown_head("element", "cubes", "right", *labels)
-    for (name, truth), n in sorted(counted.items()):
+    lines = markdown_head("part", "voxels", "right", *labels)
+    worst_first = sorted(counted.items(), key=lambda part: part[1][part[0][1]] / part[1].total())
+    for (name, truth), n in worst_first:
         shares = " | ".join(f"{100 * n[key] / n.total():.1f}" for key in (truth, *labels))
         lines.append(f"| {name} | {n.total()} | {shares} |")
     return lines
 
 
-def mean(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return statistics.fmean(known) if known else None
+def door_table(rows: Iterable[Metrics]) -> list[str]:
+    """Doors by their design."""
+    counted: dict[str, Counter[str]] = defaultdict(Counter)
+    for metrics in rows:
+        for design, counts in metrics.get("doors.by_design", {}).items():
+            counted[design].update(counts)
+    keys = ("passed", "found", "state_right")
+    cells = {design: " | ".join(str(n[key]) for key in keys) for design, n in counted.items()}
+    lines = [f"| {design} | {row} |" for design, row in sorted(cells.items())]
+    return [*markdown_head("door leaf", "passed", "found", "state right"), *lines]
+
+
+def filled(heading: str, cells: Mapping[str, str], rows: Sequence[Metrics]) -> str:
+    """A row of a table: sums of counts, means of shares in percent and of lengths in cm."""
+
+    def value(name: re.Match[str]) -> str:
+        known = [row[name[1]] for row in rows if row.get(name[1]) is not None]
+        if not known:
+            return "–"
+        if not FIGURES[name[1]].unit:
+            return f"{sum(known):.0f}"
+        return f"{100 * statistics.fmean(known):.1f}"
+
+    values = (re.sub(r"\{(.+?)\}", value, cell) for cell in cells.values())
+    return f"| {heading} | {' | '.join(values)} |"
 
 
 def markdown_head(*names: str) -> list[str]:
     return [f"| {' | '.join(names)} |", "|" + "---|" * len(names)]
+
+
+def with_tables(text: str, tables: Mapping[str, Sequence[str]]) -> str:
+    """Replace what is between `<!-- table NAME -->` and the next `<!-- end -->` in a document."""
+    for name, lines in tables.items():
+        place = re.compile(rf"(?<=<!-- table {name} -->\n).*?(?=<!-- end -->)", re.DOTALL)
+        assert place.search(text), f"{DOCUMENT}: no place for the table {name}"
+        text = place.sub(lambda _, table=lines: "\n".join([*table, ""]), text, count=1)
+    return text
 
 
 if __name__ == "__main__":
