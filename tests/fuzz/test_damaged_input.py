@@ -1,4 +1,4 @@
-"""With damaged files of users, a command succeeds or fails with one line.
+"""With damaged files of users, a command succeeds or fails with one line and exit code 2.
 
 A few cases each, always the same; with --hypothesis-profile=long many, others every time.
 """
@@ -19,11 +19,21 @@ from PIL import Image
 
 from ffmap.app.folder.atomic import write_geojson, write_json
 from ffmap.app.setup.settings import Settings, as_toml
+from ffmap.loaders.bag import make_typestore
 from tests.app.analysis.test_evaluation import BUILDING, make_run, make_truth_bag
-from tests.fuzz import commands
+from tests.fuzz import reading
 from tests.fuzz.damage import WORDS, damaged, damaged_json, damaged_text
 from tests.fuzz.sandbox import Sandbox
-from tests.loaders.bag_builder import sweep, write_bag
+from tests.loaders.bag_builder import (
+    PERIOD_NS,
+    START_NS,
+    cloud,
+    clouds,
+    header,
+    sweep,
+    tf_message,
+    write_bag,
+)
 from tests.loaders.test_recovery import foreign_mcap
 
 HEAVY = 4
@@ -46,35 +56,52 @@ def fresh(folder: Path) -> Path:
     return folder
 
 
+def read(sandbox: Sandbox, bag: Path) -> None:
+    """Describe a bag, read its scans, ground truth and poses."""
+    sandbox.ffmap("info", bag)
+    sandbox.run(reading.read_every_scan, bag)
+    sandbox.run(reading.read_truth_and_poses, bag)
+
+
+def extrinsics(ros_version: int) -> Any:
+    tilt = (0.0, 0.7071067811865476, 0.0, 0.7071067811865476)
+    edges = [("base", "h", (0, 0, 1), (0, 0, 0, 1)), ("base", "v", (0, 0, 0.8), tilt)]
+    return tf_message(edges, ros_version)
+
+
+def small_drive(ros_version: int) -> list[Any]:
+    """Two lidars, four sweeps each, and their extrinsics."""
+    small = {"columns": 16, "elevations_deg": (-3, -1, 1, 3)}
+    entries = [
+        ("/tf_static", START_NS, extrinsics(ros_version)),
+        *clouds("/h", 4, "h", ros_version, **small),
+        *clouds("/v", 4, "v", ros_version, late_ns=10**6, **small),
+    ]
+    return sorted(entries, key=lambda entry: entry[1])
+
+
 BAGS = {
-    "ROS 1": "a.bag",
-    "ROS 1, bz2": "bz2.bag",
-    "ROS 1, lz4": "lz4.bag",
-    "sqlite3": "db3",
-    "sqlite3, messages": "db3 message",
-    "sqlite3, file": "db3 file",
-    "MCAP of rosbags": "mcap",
-    "MCAP, messages": "mcap message",
-    "MCAP, file": "mcap file",
-    "MCAP, no chunks": "chunks",
-    "MCAP, plain": "none",
-    "MCAP, lz4": "lz4",
-    "MCAP, zstd": "zstd",
+    "ROS 1": ("a.bag", ""),
+    "ROS 1, lz4": ("a.bag", "lz4"),
+    "sqlite3": ("a_db3", ""),
+    "sqlite3, file": ("a_db3", "file"),
+    "MCAP, messages": ("a_mcap", "message"),
+    "MCAP, no chunks": ("a.mcap", "none"),
+    "MCAP, zstd": ("a.mcap", "zstd"),
 }
+"""Names and compressions; the last two as written by ROS 2's own recorder."""
 
 
 @cache
 def whole_bag(kind: str, folder: Path) -> Path:
     """A small drive in a container; a file, or a folder of metadata.yaml and one file."""
-    name, _, mode = BAGS[kind].partition(" ")
-    made = fresh(folder / "".join(filter(str.isalnum, kind)))
-    if name.endswith(".bag"):
-        compression = name.removesuffix(".bag") if name != "a.bag" else ""
-        return write_bag(made / "a.bag", commands.small_drive(1), 3000, compression)
-    if name in ("db3", "mcap"):
-        return write_bag(made / f"a_{name}", commands.small_drive(2), compression=mode)
-    compression = CompressionType.NONE if name == "chunks" else CompressionType[name.upper()]
-    return foreign_mcap(made / "a.mcap", commands.small_drive(2), name != "chunks", compression)
+    name, compression = BAGS[kind]
+    path = fresh(folder / kind) / name
+    if path.suffix == ".mcap":
+        chunked = compression != "none"
+        return foreign_mcap(path, small_drive(2), chunked, CompressionType[compression.upper()])
+    drive = small_drive(1 if path.suffix == ".bag" else 2)
+    return write_bag(path, drive, 3000, compression)
 
 
 @pytest.mark.parametrize("kind", BAGS)
@@ -90,7 +117,7 @@ def test_bags(kind: str, data: st.DataObject, sandbox: Sandbox, place: Path) -> 
         case = case / file if alone else case
     else:
         case.write_bytes(data.draw(damaged(whole.read_bytes())))
-    sandbox.run(commands.look_over_bag, case)
+    read(sandbox, case)
 
 
 numbers = st.one_of(
@@ -139,7 +166,19 @@ changes = st.fixed_dictionaries(
 
 @given(change=changes, every=st.booleans())
 def test_clouds(change: dict[str, Any], every: bool, sandbox: Sandbox) -> None:
-    sandbox.run(commands.look_over_clouds, fresh(sandbox.folder / "case"), change, every)
+    """A bag in which all clouds, or one, have other attributes."""
+    types, good = make_typestore(1).types, sweep(24)
+    entries: list[Any] = [("/tf_static", START_NS, extrinsics(1))]
+    for i in range(6):
+        message = cloud(good, START_NS + i * PERIOD_NS, "v")
+        for name, value in change.items() if every or i == 3 else ():
+            if name == "fields":
+                value = [types["sensor_msgs/msg/PointField"](*field) for field in value]
+            if name == "data":
+                value = np.frombuffer(value, np.uint8)
+            setattr(message.header if name == "frame_id" else message, name, value)
+        entries.append(("/v", START_NS + (i + 1) * PERIOD_NS, message))
+    read(sandbox, write_bag(fresh(sandbox.folder / "case") / "a.bag", entries))
 
 
 def packet(mode: int, model: int) -> bytes:
@@ -156,8 +195,20 @@ packets = st.tuples(
 
 @given(data=st.lists(st.tuples(packets, st.integers(-(10**10), 10**10)), max_size=8))
 def test_packets(data: list[tuple[bytes, int]], sandbox: Sandbox) -> None:
-    made, stamps = [packet for packet, _ in data], [stamp for _, stamp in data]
-    sandbox.run(commands.look_over_packets, fresh(sandbox.folder / "case"), made, stamps)
+    """A bag of three equal scans of packets of 1206 bytes."""
+    types = make_typestore(1).types
+    make, scan = types["velodyne_msgs/msg/VelodynePacket"], types["velodyne_msgs/msg/VelodyneScan"]
+    entries: list[Any] = []
+    for stamp in (START_NS, START_NS + PERIOD_NS, START_NS + 2 * PERIOD_NS):
+        made = [
+            make(
+                header(types, stamp + later, "v").stamp,
+                np.frombuffer(content.ljust(1206, b"\0")[:1206], np.uint8),
+            )
+            for content, later in data
+        ]
+        entries.append(("/packets", stamp + 1, scan(header(types, stamp, "v"), made)))
+    read(sandbox, write_bag(fresh(sandbox.folder / "case") / "a.bag", entries))
 
 
 RIG = """base = "base"
@@ -177,7 +228,9 @@ quaternion_xyzw = [ 0.0 , 0.7071 , 0.0 , 0.7071 ]
 def test_rigs(text: bytes, sandbox: Sandbox, place: Path) -> None:
     path = fresh(sandbox.folder / "case") / "rig.toml"
     path.write_bytes(text)
-    sandbox.run(commands.look_over_rig, path, whole_bag("ROS 1", place))
+    bag = whole_bag("ROS 1", place)
+    sandbox.ffmap("info", bag, "--rig", path)
+    sandbox.run(reading.read_every_scan, bag, path)
 
 
 TUM = "".join(f"{1.7e9 + i / 10:.9f} {i / 10:.3f} 0.0 0.0 0.0 0.0 0.0 1.0\n" for i in range(6))
@@ -187,7 +240,7 @@ TUM = "".join(f"{1.7e9 + i / 10:.9f} {i / 10:.3f} 0.0 0.0 0.0 0.0 0.0 1.0\n" for
 def test_trajectories(text: bytes, sandbox: Sandbox) -> None:
     path = fresh(sandbox.folder / "case") / "poses.tum"
     path.write_bytes(text)
-    sandbox.run(commands.look_over_trajectory, path)
+    sandbox.run(reading.read_trajectory, path)
 
 
 words = st.one_of(
@@ -204,8 +257,9 @@ names = st.one_of(st.sampled_from(tuple(Settings().flat())), words)
 def test_settings(text: bytes, override: list[str], both: bool, sandbox: Sandbox) -> None:
     path = fresh(sandbox.folder / "case") / "config.toml"
     path.write_bytes(text)
-    sandbox.run(commands.look_over_settings, path, tuple(override) if both else ())
-    sandbox.run(commands.look_over_settings, None, tuple(override))
+    options = [f"--set={word}" for word in override]
+    sandbox.ffmap("settings", "--config", path, *(options if both else ()))
+    sandbox.ffmap("settings", *options)
 
 
 MAP = """image: map.pgm
@@ -241,7 +295,7 @@ def test_maps(data: st.DataObject, name: str, sandbox: Sandbox, place: Path) -> 
         image = data.draw(damaged(image))
     (folder / "map.yaml").write_bytes(text)
     (folder / name).write_bytes(image)
-    sandbox.run(commands.look_over_map, folder / "map.yaml", folder / "rooms")
+    sandbox.ffmap("rooms", folder / "map.yaml", "--out", folder / "rooms")
 
 
 @cache
@@ -293,19 +347,18 @@ def damaged_runs(draw: st.DrawFn, whole: Path, case: Path) -> Path:
 def test_runs(data: st.DataObject, command: str, sandbox: Sandbox, place: Path) -> None:
     whole, folder = whole_run(place), fresh(sandbox.folder / "case")
     run = data.draw(damaged_runs(whole, folder / "run"))
-    match command:
-        case "evaluate":
-            sandbox.run(commands.evaluate, run)
-        case "compare":
-            sandbox.run(commands.compare, whole, run, folder / "out")
-        case _:
-            sandbox.run(commands.list_runs, folder)
+    words = {
+        "evaluate": ("evaluate", run, "--workers", 1),
+        "compare": ("compare", whole, run, "--out", folder / "out", "--no-scans", "--quiet"),
+        "runs": ("runs", folder),
+    }
+    sandbox.ffmap(*words[command])
 
 
 @fewer
 @given(building=damaged_json(json.dumps(BUILDING)))
 def test_true_buildings(building: bytes, sandbox: Sandbox, place: Path) -> None:
-    whole = whole_run(place)
-    run = fresh(sandbox.folder / "case") / "run"
-    shutil.copytree(whole, run)
-    sandbox.run(commands.evaluate_by, run, whole.parent / "in.bag", building)
+    folder = fresh(sandbox.folder / "case")
+    bag, _ = make_truth_bag(folder / "truth.bag", building=building.decode(errors="replace"))
+    run = shutil.copytree(whole_run(place), folder / "run")
+    sandbox.ffmap("evaluate", run, "--truth", bag, "--workers", 1)

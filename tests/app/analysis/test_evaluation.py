@@ -68,7 +68,9 @@ def room(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([p for p, _ in parts]), np.concatenate([t for _, t in parts])
 
 
-def make_truth_bag(path: Path, with_truth: bool = True) -> tuple[Path, list[np.ndarray]]:
+def make_truth_bag(
+    path: Path, with_truth: bool = True, building: str | None = None
+) -> tuple[Path, list[np.ndarray]]:
     """Clouds whose firings have their own time while the base drives along x, and their classes."""
     version = 1 if path.suffix == ".bag" else 2
     entries: list[Any] = [("/tf_static", START_NS, tf_message([MOUNT], version))]
@@ -103,7 +105,8 @@ def make_truth_bag(path: Path, with_truth: bool = True) -> tuple[Path, list[np.n
             position = (SPEED_MPS * k * PERIOD_NS * 1e-10, 0.0, 0.0)
             message = odometry(stamp_ns, position, ros_version=version)
             entries.append(("/truth/pose", stamp_ns, message))
-        text = make_typestore(version).types["std_msgs/msg/String"](json.dumps(BUILDING))
+        content = json.dumps(BUILDING) if building is None else building
+        text = make_typestore(version).types["std_msgs/msg/String"](content)
         entries.append(("/truth/building", START_NS, text))
     return write_bag(path, sorted(entries, key=lambda entry: entry[1])), classes
 
