@@ -216,7 +216,8 @@ def _ring_numbers(
     if np.issubdtype(numbers.dtype, np.floating):
         known = np.abs(numbers) < _RING_NUMBER_MAX
         numbers = np.where(known, numbers, 0 if 2 * np.count_nonzero(known) > len(known) else -1)
-    return numbers.astype(np.int64)
+        return numbers.astype(np.int64)
+    return numbers
 
 
 def _numbers(

@@ -142,13 +142,17 @@ def valid_points(points: npt.NDArray[np.void]) -> tuple[FloatArray, IntArray]:
         x, y, z = (points[axis].astype(np.float32) for axis in "xyz")
     finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
     index = np.flatnonzero(finite & ((x != 0) | (y != 0) | (z != 0)))
-    return np.stack([x[index], y[index], z[index]], axis=1), index.astype(np.int32)
+    if len(index) < len(points):
+        x, y, z = x.take(index), y.take(index), z.take(index)
+    return np.stack([x, y, z], axis=1), index.astype(np.int32)
 
 
 def field_of(points: npt.NDArray[np.void], name: str, index: IntArray) -> npt.NDArray[Any]:
-    """Select a field of some points in the machine's byte order."""
-    values = points[name][index]
-    return values.astype(values.dtype.newbyteorder("="), copy=False)
+    """Copy a field of the valid points, at their places `index`, in the machine's byte order."""
+    values = points[name]
+    # One copy of the whole field is several times as fast as picking values out of the points.
+    values = values.astype(values.dtype.newbyteorder("="))
+    return values if len(index) == len(points) else values.take(index)
 
 
 def stamp_ns(message: Message) -> int:

@@ -58,7 +58,7 @@ class RingModel:
         number: (n,) field value, row or column; None for elevations.
         """
         if number is not None:
-            return np.asarray(self.lookup[np.clip(number, 0, len(self.lookup) - 1)])
+            return self.lookup.take(number, mode="clip")
         x, y, z = points_sensor.T.astype(np.float64)
         with np.errstate(divide="ignore"):  # On the spin axis
             ring = np.searchsorted(self.edge_tan, z / np.hypot(x, y))

@@ -49,7 +49,8 @@ class OwnBody:
 
     def holds(self, points_sensor: FloatArray) -> BoolArray:
         """(n,) which points (n, 3) are in these voxels."""
-        inside = np.flatnonzero((np.abs(points_sensor) < _HALF_M).all(axis=1))
+        x, y, z = np.abs(points_sensor.T)
+        inside = np.flatnonzero((x < _HALF_M) & (y < _HALF_M) & (z < _HALF_M))
         held = np.zeros(len(points_sensor), bool)
         held[inside] = self._grid[tuple(_voxels(points_sensor[inside]).T)]
         return held

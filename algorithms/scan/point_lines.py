@@ -74,7 +74,7 @@ def make_point_lines(
         )
         # Across a sector, the range of a slanting wall changes.
         is_sampled = is_sampled & in_middle
-        order, starts = sort_groups(line, rise, 2 * column_pairs)
+        order, starts, _ = sort_groups(line, rise, 2 * column_pairs)
     else:
         if np.hypot(down_sensor[0], down_sensor[1]) < np.sin(np.radians(_LEANING_MIN_DEG)):
             raise ValueError("the spin axis is upright: no emitter sweeps from floor to ceiling")
