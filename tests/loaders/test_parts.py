@@ -159,7 +159,7 @@ def test_files_of_different_drives_are_refused(tmp_path: Path) -> None:
         ((whole, link), ("link.bag: its /a overlaps with that of", "drive.bag")),
         ((whole, ros2), ("ros2_mcap.mcap: is a bag of ROS 2", "drive.bag one of ROS 1")),
         ((whole, tmp_path / "none.bag"), ("none.bag: no such file",)),
-        ((second, copy), ("copy.bag: its /a overlaps with that of", "drive_1.bag by 0.3 s")),
+        ((second, copy), ("copy.bag: its /a overlaps with that of", "1_drive.bag by 0.3 s")),
         ((whole, late), ("late.bag: its /a overlaps with that of", "by 1.1 s")),
     ):
         with pytest.raises(InputError) as caught, opened(*parts) as bag:
@@ -186,11 +186,11 @@ def test_damage_names_the_part(tmp_path: Path) -> None:
     # The frame's length, in a cloud's header.
     place = content.index(b"\x05\x00\x00\x00lidar")
     parts[1].write_bytes(content[:place] + b"\xff\xff\xff\x7f" + content[place + 4 :])
-    with opened(*parts) as bag, pytest.raises(InputError, match=r"^drive_1\.bag: a message of /a"):
+    with opened(*parts) as bag, pytest.raises(InputError, match=r"^1_drive\.bag: a message of /a"):
         deque(map(bag.deserialize, bag.messages(["/a"])), maxlen=0)
     parts[1].write_bytes(content[: len(content) // 2])
     with opened(*parts) as bag:
-        assert bag.warnings[0].startswith("drive_1.bag: cut, or its recorder was killed")
+        assert bag.warnings[0].startswith("1_drive.bag: cut, or its recorder was killed")
 
 
 def test_several_paths_are_named_by_the_first() -> None:
