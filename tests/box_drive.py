@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -11,6 +10,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.poses.odometry import OdometrySettings, Registration, register_scans
 from ffmap.algorithms.poses.refinement import RefinementSettings
+from tests.synthetic import Box, ranges
 
 PERIOD_NS = 100_000_000
 T_BASE_HORIZONTAL = transforms.make_transform(None, [0.0, 0.0, 1.0])
@@ -23,18 +23,12 @@ Way = Callable[[float], FloatArray]
 Given = tuple[int, Scan, Scan | None]
 
 
-class Box(NamedTuple):
-    low_m: FloatArray
-    high_m: FloatArray
-    pillars_m: FloatArray
-
-
 BOX = Box(
     np.array([-5.0, -3.0, 0.0]),
     np.array([7.0, 3.5, 2.8]),
     np.array([[[-3.0, 1.5, 0.0], [-2.6, 1.9, 2.8]], [[2.0, -2.2, 0.0], [2.5, -1.7, 2.8]]]),
 )
-CORRIDOR = Box(np.array([-300, -1.2, 0]), np.array([300, 1.2, 2.8]), np.zeros((0, 2, 3)))
+CORRIDOR = Box(np.array([-300, -1.2, 0]), np.array([300, 1.2, 2.8]))
 
 
 def gentle_curve(time_s: float) -> FloatArray:
@@ -44,16 +38,6 @@ def gentle_curve(time_s: float) -> FloatArray:
     return transforms.from_yaw(
         yaw, [0.6 * driven * np.cos(yaw / 2), 0.6 * driven * np.sin(yaw / 2), 0]
     )
-
-
-def ranges(origin: FloatArray, rays: FloatArray, box: Box) -> FloatArray:
-    low_m, high_m, pillars_m = box
-    nearest = np.where(rays > 0, (high_m - origin) / rays, (low_m - origin) / rays).min(axis=1)
-    for pillar in pillars_m:
-        to_faces = (pillar[:, None] - origin) / rays
-        near, far = to_faces.min(axis=0).max(axis=1), to_faces.max(axis=0).min(axis=1)
-        nearest = np.where((near < far) & (near > 0) & (near < nearest), near, nearest)
-    return nearest
 
 
 def sweep(
@@ -72,11 +56,9 @@ def sweep(
     rays = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
     start_ns = index * PERIOD_NS + shift_ns
     time_ns = np.repeat(np.arange(firings) * PERIOD_NS // firings, rings)
-    range_m = np.empty(len(rays))
-    for firing in range(firings):
-        own = slice(firing * rings, (firing + 1) * rings)
-        T = way((start_ns + time_ns[own][0]) * 1e-9) @ T_base_sensor
-        range_m[own] = ranges(T[:3, 3], rays[own] @ T[:3, :3].T, box)
+    fired_s = (start_ns + time_ns[::rings]) * 1e-9
+    T = np.repeat([way(float(at)) @ T_base_sensor for at in fired_s], rings, axis=0)
+    range_m = ranges(T[:, :3, 3], np.einsum("nij,nj->ni", T[:, :3, :3], rays), box)
     range_m += np.random.default_rng((seed, index)).normal(0, 0.01, len(range_m))
     return Scan(
         points_sensor=(rays * range_m[:, None]).astype(np.float32),

@@ -1,6 +1,7 @@
 """A furnished room with a door, scanned by a vertical 32-ring lidar: small, exact, seeded."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -26,6 +27,14 @@ TABLE_M = np.array([[-1.5, 1.1, 0.0], [0.3, 1.8, 0.75]])
 T_BASE_SENSOR = transforms.make_transform(
     Rotation.from_euler("y", 90, degrees=True), [0.0, 0.0, 1.0]
 )
+
+
+class Box(NamedTuple):
+    """Corners (3,) of a box, and of boxes inside (k, 2, 3)."""
+
+    low_m: FloatArray
+    high_m: FloatArray
+    inside_m: FloatArray = np.zeros((0, 2, 3))
 
 
 def settings() -> MethodSettings:
@@ -83,15 +92,24 @@ def scan(index: int = 0, firings: int = 2170, seed: int = 0) -> Scan:
 
 def _cast(origin: FloatArray, rays: FloatArray) -> FloatArray:
     """Range of each ray inside the room."""
-    to_shell = np.where(rays > 0, (HIGH_M - origin) / rays, (LOW_M - origin) / rays)
-    range_m, axis = to_shell.min(axis=1), to_shell.argmin(axis=1)
+    range_m = ranges(origin, rays, Box(LOW_M, HIGH_M, TABLE_M[None]))
     hit = origin + rays * range_m[:, None]
-    door = (axis == 1) & (rays[:, 1] < 0) & (hit[:, 2] < DOOR_HEAD_M)
+    door = (hit[:, 1] < LOW_M[1] + 1e-9) & (rays[:, 1] < 0) & (hit[:, 2] < DOOR_HEAD_M)
     door &= (hit[:, 0] > DOOR_X_M[0]) & (hit[:, 0] < DOOR_X_M[1])
     range_m[door] += DOOR_DEPTH_M / -rays[door, 1]
-    to_table = (TABLE_M[:, None] - origin) / rays
-    near, far = to_table.min(axis=0).max(axis=1), to_table.max(axis=0).min(axis=1)
-    return np.where((near < far) & (near > 0) & (near < range_m), near, range_m)
+    return range_m
+
+
+def ranges(origin: FloatArray, rays: FloatArray, box: Box) -> FloatArray:
+    """Range of each ray in a box."""
+    low_m, high_m, inside_m = box
+    with np.errstate(divide="ignore"):
+        nearest = np.where(rays > 0, (high_m - origin) / rays, (low_m - origin) / rays).min(axis=1)
+    for thing in inside_m:
+        to_faces = (thing[:, None] - origin) / rays
+        near, far = to_faces.min(axis=0).max(axis=1), to_faces.max(axis=0).min(axis=1)
+        nearest = np.where((near < far) & (near > 0) & (near < nearest), near, nearest)
+    return nearest
 
 
 def drive_in_a_room(
@@ -104,8 +122,7 @@ def drive_in_a_room(
     for i in range(clouds):
         origin = np.array([*rng.uniform(low[:2] / 2, high[:2] / 2), height_m])
         rays = rng.normal(size=(4000, 3))
-        with np.errstate(divide="ignore"):
-            reach = np.where(rays > 0, (high - origin) / rays, (low - origin) / rays).min(axis=1)
+        reach = ranges(origin, rays, Box(low, high))
         turn = transforms.from_yaw(0.7 * i, [0.0, 0.0, 0.0])[:3, :3]
         seen.append((rays * reach[:, None] + rng.normal(0, 0.01, (4000, 3))) @ turn.T)
     return seen

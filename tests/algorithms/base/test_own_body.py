@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.own_body import find_own_body, moves
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from tests.box_drive import Box, ranges
+from tests.synthetic import Box, ranges
 
 CLOUDS = 24
 # On its side, looking to the left and right, 0.7 m above the floor.
