@@ -711,7 +711,7 @@ def rooms(
 
         ffmap rooms ipa_room_segmentation/test_maps --resolution 0.05
 
-        ffmap rooms slam.yaml --set area_graph.furniture_max_m=0 --set area_graph.block_max_m=0
+        ffmap rooms slam.yaml --set area_graph.furniture_max_m=0
     """
     from ffmap.app.commands import rooms as command
 

@@ -25,7 +25,7 @@ def draw_furniture_free(
     frame = GridMap.around(places, settings.cell_m)
     standing = standing_stretches(immobile, knee_m)
     draft = draft_furniture_free(immobile, standing, frame, settings, thickness)
-    (grid,) = draw_free([draft], frame, drive, settings.floor_reach_m, knee_m)
+    (grid,) = draw_free([draft], frame, drive, knee_m)
     return grid
 
 
@@ -35,5 +35,5 @@ def draw_cells(
     places = (cell_index + 0.5) * settings.cell_m
     frame = GridMap.around([places, drive.path_map[:, :2]], settings.cell_m)
     draft = draft_cells(places, frame, windows)
-    (grid,) = draw_free([draft], frame, drive, settings.floor_reach_m, knee_m)
+    (grid,) = draw_free([draft], frame, drive, knee_m)
     return grid

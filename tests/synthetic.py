@@ -11,7 +11,7 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, ScanSettings
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.doors import DoorsSettings
-from ffmap.algorithms.scan.labelling import LabellingSettings, MethodSettings
+from ffmap.algorithms.scan.labelling import MethodSettings
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothingSettings, smooth_ranges
 from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
@@ -45,7 +45,6 @@ def settings() -> MethodSettings:
         VerticalStructuresSettings(),
         WallPlanesSettings(),
         DoorsSettings(),
-        LabellingSettings(),
     )
 
 

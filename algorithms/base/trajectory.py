@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
-from pydantic import Field
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan
-from ffmap.algorithms.base.settings import StepSettings
 
 KNOTS = 17
 """Number of poses within a scan, 6 ms apart in one of 0.1 s; firings are interpolated linearly."""
 GAP_PERIODS = 2.5
 """Duration of a gap in median periods: a single scan or message may be lost without one."""
+EXTRAPOLATE_NS = 300_000_000
+"""Maximum time of a vertical scan before or after the odometry; others are skipped."""
 
 
 def gaps(stamp_ns: IntArray) -> IntArray:
@@ -26,30 +26,6 @@ def gaps(stamp_ns: IntArray) -> IntArray:
     if not len(steps):
         return np.zeros(0, np.int64)
     return np.flatnonzero(steps > GAP_PERIODS * np.median(steps))
-
-
-class TrajectorySettings(StepSettings):
-    """Placing scans and levelling the map (paper, IV.C and V)."""
-
-    level_s: float = Field(
-        8.0,
-        gt=0,
-        le=60,
-        description="Duration (s) from the start whose walls and floor level the map.",
-    )
-    level_scan_max_deg: float = Field(
-        1.0,
-        ge=0,
-        le=10,
-        description="Maximum angle (degrees) by which a scan is turned to give its floor the slope "
-        "of the map's; 0 turns none.",
-    )
-    extrapolate_s: float = Field(
-        0.3,
-        ge=0,
-        description="Maximum time (s) of a vertical scan before or after the odometry; others are "
-        "skipped.",
-    )
 
 
 @dataclass(frozen=True)

@@ -63,19 +63,17 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Ma
     places = [immobile.walls.ends, doors.ends, scans.path_map]
     frame = GridMap.around(places, settings.grid_map.cell_m)
     drafts = [
-        draft_furniture_free(
-            immobile, standing, frame, settings.grid_map, settings.wall_thickness
-        ),
+        draft_furniture_free(immobile, standing, frame, settings.grid_map, settings.wall_thickness),
         *(draft_rival(rival, scans.rivals, frame, windows) for rival in Rival),
     ]
-    reach_m = settings.grid_map.floor_reach_m
-    grid, *drawn = draw_free(drafts, frame, scans.drive, reach_m, knee_m)
+    grid, *drawn = draw_free(drafts, frame, scans.drive, knee_m)
     rivals = dict(zip(Rival, drawn, strict=True))
     bounds = (standing, *sides_of(doors), windows)
     path_map, ways = scans.drive.path_map, doorways_of(doors)
     rooms = find_rooms(grid, settings.area_graph, ways, windows.ends, path_map, bounds)
     # Rooms of the normal map (Fig. 10), with and without alpha removal.
-    normal, as_is = rivals[Rival.MIDDLE], settings.area_graph.without_alpha_removal()
+    normal = rivals[Rival.MIDDLE]
+    as_is = settings.area_graph.model_copy(update={"furniture_max_m": 0.0})
     compared_rooms = {
         Segmented.NORMAL: find_rooms(normal, settings.area_graph, path_map=path_map),
         Segmented.NORMAL_AS_IS: find_rooms(normal, as_is, path_map=path_map),

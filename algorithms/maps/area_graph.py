@@ -41,8 +41,9 @@ _MOUTH_RATIO = 0.85
 """Maximum width of a mouth in line with a wall, as a share of the space on either side."""
 _ENCLOSED_RATIO = 1.5
 """Maximum width of all mouths of a room, as a share of its own width."""
-_BLOCK_FILL_MIN = 0.25
-"""Minimum share of the square of its length that a compact block covers."""
+_BLOCK_FILL_MIN, _BLOCK_MAX_M = 0.25, 2.0
+"""Compact free-standing blocks, such as tables and cupboards: minimum share of the square of its
+length that it covers, maximum length (m)."""
 _BEAM_M = 0.15
 """Half the width (m) of the narrowest room: narrower areas are rays that left through a gap."""
 _JAMB_M = 0.1
@@ -80,13 +81,8 @@ class AreaGraphSettings(StepSettings):
     furniture_max_m: float = Field(
         1.2,
         ge=0,
-        description="Maximum length (m) of free-standing furniture (alpha removal); 0: none. IV.D.",
-    )
-    block_max_m: float = Field(
-        2.0,
-        ge=0,
-        description="Maximum length (m) of compact free-standing blocks, such as tables and "
-        "cupboards; 0: none.",
+        description="Maximum length (m) of free-standing furniture that alpha removal erases, 2 m "
+        "if it is a compact block; 0 erases none. IV.D.",
     )
     room_min_m2: float = Field(
         1.0,
@@ -94,10 +90,6 @@ class AreaGraphSettings(StepSettings):
         description="Minimum area (m²) of a room; smaller rooms join the room to which they open, "
         "or are dropped.",
     )
-
-    def without_alpha_removal(self) -> "AreaGraphSettings":
-        """The same settings, which keep all furniture."""
-        return self.model_copy(update={"furniture_max_m": 0.0, "block_max_m": 0.0})
 
 
 @dataclass(frozen=True)
@@ -179,7 +171,7 @@ def find_rooms(
     part = GridMap(cells, grid.origin - grid.cell_m, grid.cell_m).cropped(rows, columns)
     free = part.cells == Cell.FREE
     closed = _closed(part, doorways, windows)
-    furniture = _furniture(~free | closed, grid.cell_m, settings)
+    furniture = _furniture(~free | closed, grid.cell_m, settings.furniture_max_m)
     open_cells = (free | furniture) & ~closed
     walls = ~free if path_map is None else (part.cells == Cell.OCCUPIED) | closed
     distance, nearest = _to_nearest_obstacle(open_cells)
@@ -258,20 +250,20 @@ def _to_nearest_obstacle(free: BoolArray) -> tuple[FloatArray, IntArray]:
     return np.sqrt(squared, out=squared), nearest
 
 
-def _furniture(obstacles: BoolArray, cell_m: float, settings: AreaGraphSettings) -> BoolArray:
+def _furniture(obstacles: BoolArray, cell_m: float, furniture_max_m: float) -> BoolArray:
     """Alpha removal: small free-standing things, and compact blocks (paper, IV.D)."""
+    if not furniture_max_m:
+        return np.zeros(obstacles.shape, bool)
     label, count = ndimage.label(obstacles, _EIGHT)
     removed = np.zeros(count + 1, bool)
-    limit_m = max(settings.furniture_max_m, settings.block_max_m)
+    limit_m = max(furniture_max_m, _BLOCK_MAX_M)
     for number, box in enumerate(ndimage.find_objects(label), 1):
         if max(s.stop - s.start for s in box) * cell_m > limit_m:
             continue
         own = label[box] == number
         length_m = _length(own) * cell_m
         compact = np.count_nonzero(own) * cell_m**2 >= _BLOCK_FILL_MIN * length_m**2
-        removed[number] = length_m <= settings.furniture_max_m or (
-            compact and length_m <= settings.block_max_m
-        )
+        removed[number] = length_m <= (limit_m if compact else furniture_max_m)
     return np.asarray(removed[label])
 
 
@@ -504,9 +496,7 @@ def _same_place(line: FloatArray, other: FloatArray) -> bool:
     return bool(apart_m < np.linalg.norm(line[1] - line[0]) / 2)
 
 
-def _voronoi(
-    label: IntArray, distance: FloatArray, nearest: IntArray, part: GridMap
-) -> FloatArray:
+def _voronoi(label: IntArray, distance: FloatArray, nearest: IntArray, part: GridMap) -> FloatArray:
     """(s, 2, 2) edges between cells whose nearest obstacles are far apart and far away."""
     far = (label > 0) & (distance * part.cell_m > _SKELETON_M)
     edges = []

@@ -17,6 +17,8 @@ from ffmap.algorithms.building.ray_evidence import Rays, floor_m
 from ffmap.algorithms.maps.grid import MARGIN_M, Cell, GridMap, window
 from ffmap.algorithms.scan.summary import Features
 
+FLOOR_REACH_M = 1.5
+"""Maximum distance (m) of free cells from visible floor: tables hide floor."""
 _RANGE_M = 25.0
 """Maximum distance (m) from the sensor that rays make free."""
 _EVERY = 4
@@ -48,18 +50,18 @@ class Draft:
 
 
 def draw_free(
-    drafts: Sequence[Draft], frame: GridMap, drive: Drive, floor_reach_m: float, knee_m: float
+    drafts: Sequence[Draft], frame: GridMap, drive: Drive, knee_m: float
 ) -> list[GridMap]:
     """Draw free cells into up to 8 maps of one frame, cropped to what the first of them shows.
 
-    A cell is free if a ray crossed it before it was blocked, within `floor_reach_m` of visible
+    A cell is free if a ray crossed it before it was blocked, within `FLOOR_REACH_M` of visible
     floor. Floor is visible where a ray to it ran below `knee_m`; it counts if such cells connect
     it to the robot's way. Beyond visible floor only cells close to a ray's end are free: others
     may be seen through a window.
     """
     passable = np.packbits([~draft.blocked for draft in drafts], axis=0, bitorder="little")[0]
     marked = np.zeros((3, *passable.shape), np.uint8)
-    reach, range_cells = int(floor_reach_m / frame.cell_m), _RANGE_M / frame.cell_m
+    reach, range_cells = int(FLOOR_REACH_M / frame.cell_m), _RANGE_M / frame.cell_m
     for block in drive.blocks():
         start, end, label = _ray_ends(block, frame)
         length = np.hypot(*(end - start)[:, :2].T)
@@ -98,9 +100,8 @@ def _finished(
     start[frame.at(path)] = True
     start = binary_dilation(start, iterations=int(_BLIND_M / frame.cell_m)) & floor
     free = binary_propagation(start, _EIGHT, floor)
-    if reach:
-        near = (binary_closing(near, _EIGHT) | free) & crossed
-        free = binary_dilation(free, iterations=reach, mask=near)
+    near = (binary_closing(near, _EIGHT) | free) & crossed
+    free = binary_dilation(free, iterations=reach, mask=near)
     cells = np.where(draft.occupied, Cell.OCCUPIED, Cell.UNKNOWN).astype(np.uint8)
     if draft.hides_walls:
         cells[~binary_dilation(crossed, _EIGHT, iterations=_VISIBLE_CELLS)] = Cell.UNKNOWN

@@ -26,11 +26,6 @@ class GridMapSettings(StepSettings):
         description="Which doorways are free: open (all), as-seen (of open doors), closed (none). "
         "IV.C.",
     )
-    floor_reach_m: float = Field(
-        1.5,
-        ge=0,
-        description="Maximum distance (m) of free cells from visible floor; tables hide floor.",
-    )
 
 
 class Cell(IntEnum):

@@ -207,9 +207,7 @@ def _space_beside(line: FloatArray, free: BoolArray, cell_m: float) -> float:
         straight = _at(free, line.mean(axis=0) + steps * across)
         clear = len(straight) if straight.all() else int(straight.argmin())
         base = line.mean(axis=0) + depth[depth <= 1.5 + clear][:, None] * across
-        ways = np.stack(
-            [_at(free, base[:, None] + way * away[:, None] * along) for way in (1, -1)]
-        )
+        ways = np.stack([_at(free, base[:, None] + way * away[:, None] * along) for way in (1, -1)])
         lengths = np.where(ways.all(axis=2), len(away), ways.argmin(axis=2)).sum(axis=0)
         widest.append(float(lengths.max(initial=0)))
     return min(widest)

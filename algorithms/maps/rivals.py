@@ -4,14 +4,13 @@ Returns of a scan are counted by cells of the ground when it is labelled, so tha
 the building only (Fig. 6, Fig. 9c, d).
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.building.model import Windows
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
+from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.free_space import Draft
 from ffmap.algorithms.maps.furniture_free import draft_cells
 from ffmap.algorithms.maps.grid import GridMap
@@ -35,64 +34,36 @@ class Rival(StrEnum):
     BOTTOMMOST = "bottommost"  # the lowest (Fig. 6b)
 
 
-@dataclass(frozen=True)
-class RivalReturns:
-    """The returns of a scan that occupy cells of the rivals.
+def rival_returns(
+    points_level: FloatArray, points_map: FloatArray, labelling: ScanLabelling
+) -> tuple[FloatArray, UInt8Array]:
+    """Choose the returns (n, 3) of a scan that occupy cells; without a ceiling, it has no slices.
 
-    row: (k,) int32 return of the scan. rival: (k,) uint8 rival in which it counts, by its place in
-    `Rival`.
+    Returns their places (k, 3) in the map, at height 0, and the rivals (k,) in which they count, as
+    places in `Rival`.
     """
-
-    row: IntArray
-    rival: UInt8Array
-
-    @classmethod
-    def of(cls, points_level: FloatArray, labelling: ScanLabelling) -> "RivalReturns":
-        """Choose returns (n, 3) of a scan; without a ceiling, a scan has no slices."""
-        below_m = below_ceiling(points_level, labelling.ceiling_planes)
-        structures, samples = labelling.structures, labelling.lines.samples
-        rows: dict[Rival, IntArray] = {
-            Rival.BELOW_CEILING: np.flatnonzero(
-                (below_m > _BELOW_CEILING_M) & (below_m < _BELOW_CEILING_M + _SLICE_M)
-            ),
-            # Halfway up a return is as far from the floor as from the ceiling.
-            Rival.MIDDLE: np.flatnonzero(np.abs(labelling.height_m - below_m) < _SLICE_M),
-        }
-        sample = np.arange(samples.shape[1])
-        for rival, structure in (
-            (Rival.UPMOST, structures.upmost),
-            (Rival.BOTTOMMOST, structures.bottommost),
-        ):
-            chosen = structure[structure >= 0]
-            first, last = structures.first[chosen, None], structures.last[chosen, None]
-            within = (sample >= first) & (sample <= last)
-            rows[rival] = samples[structures.line[chosen]][within]
-        row = np.concatenate([rows[rival] for rival in Rival]).astype(np.int32)
-        codes = np.arange(len(Rival), dtype=np.uint8)
-        return cls(row, np.repeat(codes, [len(rows[rival]) for rival in Rival]))
-
-
-class RivalCounter:
-    """Counts returns by cell for each rival; the votes of blocks of scans add up."""
-
-    def __init__(self, cell_m: float) -> None:
-        self._table = VoxelTable(cell_m, len(Rival))
-
-    def add(self, points_map: FloatArray, returns: RivalReturns) -> None:
-        """Count one scan with its returns at points_map (n, 3)."""
-        flat = np.zeros((len(returns.row), 3), points_map.dtype)
-        flat[:, :2] = points_map[returns.row, :2]
-        self._table.add(flat, returns.rival)
-
-    def votes(self) -> VoxelVotes:
-        """Returns by cell (a voxel with index 0 along z) and rival, so far."""
-        return self._table.votes()
+    below_m = below_ceiling(points_level, labelling.ceiling_planes)
+    structures, samples = labelling.structures, labelling.lines.samples
+    rows: list[IntArray] = [
+        np.flatnonzero((below_m > _BELOW_CEILING_M) & (below_m < _BELOW_CEILING_M + _SLICE_M)),
+        # Halfway up a return is as far from the floor as from the ceiling.
+        np.flatnonzero(np.abs(labelling.height_m - below_m) < _SLICE_M),
+    ]
+    sample = np.arange(samples.shape[1])
+    for structure in (structures.upmost, structures.bottommost):
+        chosen = structure[structure >= 0]
+        first, last = structures.first[chosen, None], structures.last[chosen, None]
+        within = (sample >= first) & (sample <= last)
+        rows.append(samples[structures.line[chosen]][within])
+    places = points_map[np.concatenate(rows)]
+    places[:, 2] = 0.0
+    return places, np.repeat(np.arange(len(Rival), dtype=np.uint8), [len(own) for own in rows])
 
 
 def draft_rival(rival: Rival, votes: VoxelVotes, frame: GridMap, windows: Windows) -> Draft:
     """Draw one of the maps.
 
-    votes: sums of `RivalCounter.votes`. windows: nothing behind them is free, as in the
+    votes: of `rival_returns` in cells of the frame. windows: nothing behind them is free, as in the
     furniture-free map; the paper removed it by hand.
     """
     occupied = votes.counts[:, list(Rival).index(rival)] >= _HITS_MIN

@@ -158,12 +158,11 @@ def place_and_level(
     base_height_m: float,
     floor_slope: FloatArray,
     rearrangement: RearrangementSettings,
-    max_deg: float,
 ) -> LevelledScan:
     """Put every smoothed return at its firing's pose, and level the scan by the map's floor.
 
     T_base_sensor: (4, 4). base_height_m: height of the base above the floor. floor_slope: (2,) of
-    the map's floor, see `Level`. max_deg: a floor at a larger angle to the map's is a ramp.
+    the map's floor, see `Level`. A floor at an angle over `level_max_deg` to the map's is a ramp.
     """
     placed = place_scan(ranges.of(scan), trajectory, T_base_sensor, base_height_m)
     x, y, level_m = placed.T_map_level[:3, 3]
@@ -172,7 +171,9 @@ def place_and_level(
     if len(floor.pieces):
         # At the foot or top of a ramp, the floor has no single slope.
         return LevelledScan(placed, floor, ranges)
-    levelled = turn_to_floor(placed, floor.height_m, floor.slope, wanted, max_deg)
+    levelled = turn_to_floor(
+        placed, floor.height_m, floor.slope, wanted, rearrangement.level_max_deg
+    )
     if levelled is not placed:
         floor = replace(floor, slope=wanted)
     return LevelledScan(levelled, floor, ranges)

@@ -19,6 +19,8 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
 
+_SUBMAP_SCANS, _EVERY_SCANS = 20, 10
+"""Number of scans in a submap, and from one submap's middle to the next one's."""
 _ALONG = 2
 """Number of submaps before it that each submap is joined with: the way as it was driven."""
 _SLIP_WEIGHT = 0.1
@@ -51,10 +53,6 @@ class PoseGraphSettings(StepSettings):
     """Closing loops by a graph of submaps, in place of BLAM's loop closure (paper, IV.A)."""
 
     enabled: bool = Field(True, description="Whether loops are closed after the whole drive.")
-    submap_scans: int = Field(20, ge=2, description="Number of scans in a submap.")
-    every_scans: int = Field(
-        10, ge=1, description="Number of scans from one submap's middle to the next one's."
-    )
     near_m: float = Field(
         3.0,
         ge=0,
@@ -134,10 +132,10 @@ def close_loops(
     T_odom_sensor: (n, 4, 4). clouds_sensor: (k, 3) of each, motion compensated.
     The first submap stays in place.
     """
-    half = settings.submap_scans // 2
+    half = _SUBMAP_SCANS // 2
     T_odom_first = _register_first(T_odom_sensor, clouds_sensor, half)
     T_odom_sensor = _with_first(T_odom_sensor, T_odom_first)
-    scan = np.arange(0, len(T_odom_sensor), settings.every_scans)
+    scan = np.arange(0, len(T_odom_sensor), _EVERY_SCANS)
     T_start = T_odom_sensor[scan]
 
     @lru_cache(maxsize=200)

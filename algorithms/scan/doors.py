@@ -13,6 +13,8 @@ from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.algorithms.scan.rearrangement import Returns
 from ffmap.algorithms.scan.wall_planes import WallPlanes
 
+HEIGHT_MAX_M = 2.6  # maximum height (m) above the floor at which a door begins
+EXCEPTIONS_MAX = 0.15  # maximum share of returns on the plane below the start: noise, a handle
 _WALL_DISTANCE_M = 0.05
 """Maximum distance (m) from the plane of the uppermost return of the wall in a line.
 
@@ -44,16 +46,6 @@ class DoorsSettings(StepSettings):
         gt=0,
         description="Minimum height above the floor (m) at which a door begins. III.C, "
         "condition 3.",
-    )
-    height_max_m: float = Field(
-        2.6, gt=0, description="Maximum height above the floor (m) at which a door begins. III.C."
-    )
-    exceptions_max: float = Field(
-        0.15,
-        ge=0,
-        lt=1,
-        description="Maximum share of returns on the plane below the start: noise, a handle. "
-        "III.C.",
     )
     lines_min: int = Field(
         2, ge=1, description="Minimum number of neighbouring lines in an opening. III.C."
@@ -167,7 +159,6 @@ def find_door_lines(
         planes.offset_m[plane],
         settings.recess_min_m,
         settings.open_depth_m,
-        settings.exceptions_max,
     )
     recess_m, above_m, below_m, on_plane_share, x, y = measured.T
     behind = depression == Depression.HELD
@@ -181,7 +172,7 @@ def find_door_lines(
         start_height_m=start_height_m,
         high_enough=behind
         & (start_height_m >= settings.height_min_m)
-        & (start_height_m <= settings.height_max_m),
+        & (start_height_m <= HEIGHT_MAX_M),
         depth_m=depth_m,
         state=state.astype(np.uint8),
         position=np.where(behind[:, None], np.column_stack([x, y]), np.nan),
@@ -203,7 +194,6 @@ def _find_depressions(
     offset: FloatArray,
     recess_min_m: float,
     open_depth_m: float,
-    exceptions_max: float,
 ) -> tuple[IntArray, UInt8Array, FloatArray]:
     """Condition 2 for lines (D,), each with the normal (D, 2) and offset (D,) of its plane.
 
@@ -246,7 +236,7 @@ def _find_depressions(
             depression[d] = Depression.ABOVE_OFF_PLANE
         elif below_m > -recess_min_m:
             depression[d] = Depression.SHALLOW
-        elif on_plane > exceptions_max:
+        elif on_plane > EXCEPTIONS_MAX:
             depression[d] = Depression.EXCEPTIONS
         else:
             depression[d] = Depression.HELD

@@ -13,9 +13,11 @@ from ffmap.algorithms.scan.rearrangement import (
     refine_plane,
 )
 
+FLOOR_SEARCH_M = 0.25  # maximum height (m) of the floor above or below an expected one
 FLOOR_RANGE_M = 6.0  # maximum distance (m) from the robot, along x and y, of the ground in use
 _CELL_M = 0.2  # edge (m) of the ground's cells
 _CELLS = int(2 * FLOOR_RANGE_M / _CELL_M)
+_BINS = int(np.ceil(2 * FLOOR_SEARCH_M / HEIGHT_BIN_M))  # of heights
 _SUPPORT_MIN = 20  # minimum number of returns on a floor
 _PLANE_RANGE_M = 10.0  # maximum horizontal range (m) of returns that the floor's plane is fitted to
 _BEND_CELLS_MIN = 40  # fewer cells do not distinguish two planes from one
@@ -87,7 +89,7 @@ def find_floor(
     # A third of the returns places the plane as well, to a fraction of a millimetre.
     points_level = np.ascontiguousarray(points_level[::3])
     expected_m = (0.0, map_floor_m)
-    searched_m = expected_m if abs(map_floor_m) > settings.floor_search_m else expected_m[:1]
+    searched_m = expected_m if abs(map_floor_m) > FLOOR_SEARCH_M else expected_m[:1]
     candidates = [_fullest_height(points_level, height_m, settings) for height_m in searched_m]
     height_m, support, _ = max(candidates, key=lambda candidate: candidate[2])
     if support < _SUPPORT_MIN:
@@ -126,19 +128,18 @@ def _fit(points_level: FloatArray, height_m: float, settings: RearrangementSetti
 
 @numba.njit(cache=True, nogil=True)
 def _count_heights(
-    points: FloatArray, height_m: float, slope: FloatArray, search_m: float
+    points: FloatArray, height_m: float, slope: FloatArray
 ) -> tuple[IntArray, IntArray]:
     """Cells (m,) of the ground, and their number of returns (m, bins) by height about a plane."""
-    bins = int(np.ceil(2 * search_m / HEIGHT_BIN_M))
-    counts = np.zeros((_CELLS * _CELLS, bins), np.int32)
+    counts = np.zeros((_CELLS * _CELLS, _BINS), np.int32)
     total = np.zeros(_CELLS * _CELLS, np.int32)
     for i in range(len(points)):
         x, y = np.float64(points[i, 0]), np.float64(points[i, 1])
         rise = points[i, 2] - (height_m + slope[0] * x + slope[1] * y)
-        if abs(x) < FLOOR_RANGE_M and abs(y) < FLOOR_RANGE_M and abs(rise) < search_m:
+        if abs(x) < FLOOR_RANGE_M and abs(y) < FLOOR_RANGE_M and abs(rise) < FLOOR_SEARCH_M:
             column, row = int((x + FLOOR_RANGE_M) / _CELL_M), int((y + FLOOR_RANGE_M) / _CELL_M)
             cell = column * _CELLS + row
-            counts[cell, min(int((rise + search_m) / HEIGHT_BIN_M), bins - 1)] += 1
+            counts[cell, min(int((rise + FLOOR_SEARCH_M) / HEIGHT_BIN_M), _BINS - 1)] += 1
             total[cell] += 1
     cells = np.flatnonzero(total)
     return cells, counts[cells]
@@ -152,13 +153,12 @@ def _fullest_height(
     Each cell counts once, shared by its returns: so the returns of a wall, however many, count
     little at any one height.
     """
-    search_m = settings.floor_search_m
-    _, counts = _count_heights(points_level, expected_m, np.zeros(2), search_m)
+    _, counts = _count_heights(points_level, expected_m, np.zeros(2))
     shares = counts / counts.sum(axis=1, keepdims=True)
     window = np.ones(max(1, round(settings.floor_height_m / HEIGHT_BIN_M)))
     returns, ground = (np.convolve(c.sum(axis=0), window, mode="same") for c in (counts, shares))
     mode = int(np.argmax(ground))
-    height_m = expected_m - search_m + (mode + 0.5) * HEIGHT_BIN_M
+    height_m = expected_m - FLOOR_SEARCH_M + (mode + 0.5) * HEIGHT_BIN_M
     return height_m, int(returns[mode]), float(ground[mode])
 
 
@@ -171,10 +171,7 @@ def _bend(
     all returns would fit one slanting plane through both pieces.
     """
     none = np.zeros((0, 3)), False
-    search_m = settings.floor_search_m
-    places, rise_m = _cell_heights(
-        *_count_heights(points_level, plane.height_m, plane.slope, search_m), search_m
-    )
+    places, rise_m = _cell_heights(*_count_heights(points_level, plane.height_m, plane.slope))
     on_plane = np.count_nonzero(np.abs(rise_m) < _BEND_DISTANCE_M)
     more = int(_BEND_SHARE_MIN * len(places)) + 1
     if len(places) < _BEND_CELLS_MIN or len(places) - on_plane < more:
@@ -195,9 +192,7 @@ def _bend(
     return pieces + np.array([plane.height_m, *plane.slope]), is_foot
 
 
-def _cell_heights(
-    cells: IntArray, counts: IntArray, search_m: float
-) -> tuple[FloatArray, FloatArray]:
+def _cell_heights(cells: IntArray, counts: IntArray) -> tuple[FloatArray, FloatArray]:
     """Middle (m, 2) of each cell with enough returns, and the height (m,) where most of them are.
 
     cells, counts: from `_count_heights`.
@@ -209,7 +204,7 @@ def _cell_heights(
     weight = np.take_along_axis(counts, bin_ % bins, axis=1) * ((bin_ >= 0) & (bin_ < bins))
     mean_bin = (weight * bin_).sum(axis=1) / weight.sum(axis=1)
     places = (np.column_stack(np.divmod(cells, _CELLS)) + 0.5) * _CELL_M - FLOOR_RANGE_M
-    return places, (mean_bin + 0.5) * HEIGHT_BIN_M - search_m
+    return places, (mean_bin + 0.5) * HEIGHT_BIN_M - FLOOR_SEARCH_M
 
 
 def _fit_pieces(

@@ -4,11 +4,9 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, ScanSettings, UInt8Array
-from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.scan.ceiling import below_ceiling, find_ceilings
 from ffmap.algorithms.scan.doors import (
@@ -46,17 +44,6 @@ _LEAF_MARGIN_M = 0.03  # width (m) of a closed door beyond the outermost lines t
 _LEAF_DEPTH_M = 0.05  # depth (m) of a closed door's returns beyond their median
 
 
-class LabellingSettings(StepSettings):
-    """From planes to labels (paper, III.C)."""
-
-    wall_distance_m: float = Field(
-        0.045,
-        gt=0,
-        le=0.5,
-        description="Maximum distance (m) of a wall's return from a wall plane of the scan. III.C.",
-    )
-
-
 @dataclass(frozen=True)
 class MethodSettings:
     """The settings of every step that labels a scan."""
@@ -67,7 +54,6 @@ class MethodSettings:
     vertical_structures: VerticalStructuresSettings
     wall_planes: WallPlanesSettings
     doors: DoorsSettings
-    labelling: LabellingSettings
 
 
 @dataclass(frozen=True)
@@ -127,9 +113,7 @@ def label_scan(
     is_ceiling &= height_m > _CEILING_LOWEST_M
     label = np.where(is_ceiling, np.uint8(Label.CEILING), np.uint8(Label.CLUTTER))
     label[np.abs(height_m) < rearrangement.floor_height_m] = Label.FLOOR
-    lines = make_point_lines(
-        scan, placed.down_sensor, label != Label.CLUTTER, rearrangement, column_pairs
-    )
+    lines = make_point_lines(scan, placed.down_sensor, label != Label.CLUTTER, column_pairs)
     # III.B: vertical structures, wall candidates, wall planes.
     structures = find_vertical_structures(returns, lines.samples, settings.vertical_structures)
     meets_ceiling = lines.count(label == Label.CEILING) > _STRAY_MAX
@@ -146,7 +130,7 @@ def label_scan(
         planes.normal,
         planes.offset_m,
         _completed_ends(planes),
-        settings.labelling.wall_distance_m,
+        settings.wall_planes.distance_m,
     )
     _label_closed_doors(returns, planes, openings, label, plane)
     return ScanLabelling(

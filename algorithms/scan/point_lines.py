@@ -11,8 +11,8 @@ import numba
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, Scan, sort_groups
-from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 
+POINTS_MIN = 20  # minimum number of returns in a line, without floor and ceiling
 SAMPLES = 200  # returns in a resampled point line (III.A: "exactly 200 points")
 COLUMN_PAIRS = 180  # pairs of opposite columns of an upright lidar, a degree apart
 _LEANING_MIN_DEG = 15.0  # minimum angle of the spin axis to the upright for lines of emitters
@@ -48,7 +48,6 @@ def make_point_lines(
     scan: Scan,
     down_sensor: FloatArray,
     is_horizontal: BoolArray,
-    settings: RearrangementSettings,
     column_pairs: int = 0,
 ) -> PointLines:
     """Sort the returns into 2n point lines and resample each (paper, III.A, Fig. 4 and 5a).
@@ -80,7 +79,7 @@ def make_point_lines(
             raise ValueError("the spin axis is upright: no emitter sweeps from floor to ceiling")
         down_rad = float(np.arctan2(down_sensor[1], down_sensor[0]))
         order, starts = _halves(rings.order, rings.starts, rings.turn_rad, down_rad)
-    samples = _resample(order, starts, is_horizontal, is_sampled, settings.line_points_min)
+    samples = _resample(order, starts, is_horizontal, is_sampled)
     return PointLines(order, starts, samples)
 
 
@@ -142,11 +141,7 @@ def _columns(
 
 @numba.njit(cache=True, nogil=True)
 def _resample(
-    order: IntArray,
-    starts: IntArray,
-    is_horizontal: BoolArray,
-    is_sampled: BoolArray,
-    points_min: int,
+    order: IntArray, starts: IntArray, is_horizontal: BoolArray, is_sampled: BoolArray
 ) -> IntArray:
     """(2n, 200) evenly spaced sampled returns of each line with enough of non-horizontal ones."""
     lines = len(starts) - 1
@@ -154,7 +149,7 @@ def _resample(
     for line in range(lines):
         own = order[starts[line] : starts[line + 1]]
         sampled = own[is_sampled[own]]
-        if np.count_nonzero(~is_horizontal[own]) < points_min or len(sampled) == 0:
+        if np.count_nonzero(~is_horizontal[own]) < POINTS_MIN or len(sampled) == 0:
             continue
         for s in range(SAMPLES):
             # Rounded s · (count - 1) / (SAMPLES - 1).

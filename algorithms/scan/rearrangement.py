@@ -25,12 +25,6 @@ class RearrangementSettings(StepSettings):
         description="Maximum distance (m) of a floor return from the floor: the paper's height "
         "filter. III.A.",
     )
-    floor_search_m: float = Field(
-        0.25,
-        gt=0,
-        le=2.0,
-        description="Maximum height (m) of the floor above or below the map's floor. III.A.",
-    )
     floor_slope_max: float = Field(
         0.09,
         ge=0,
@@ -46,10 +40,12 @@ class RearrangementSettings(StepSettings):
     ceiling_height_min_m: float = Field(
         2.1, gt=0, description="Minimum height (m) of a ceiling above the floor. III.A."
     )
-    line_points_min: int = Field(
-        20,
-        ge=2,
-        description="Minimum number of returns in a point line, without floor and ceiling. III.A.",
+    level_max_deg: float = Field(
+        1.0,
+        ge=0,
+        le=10,
+        description="Maximum angle (degrees) by which a scan is turned to give its floor the slope "
+        "of the map's; 0 turns none.",
     )
 
 

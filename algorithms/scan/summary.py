@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.scan.floor import FLOOR_RANGE_M
@@ -48,24 +47,6 @@ class Features:
     plane_moments: FloatArray
     ray_intensity: FloatArray = field(default_factory=lambda: NO_INTENSITY)
 
-    def moved(self, T: FloatArray) -> "Features":
-        """Each scan moved by its own T (s, 4, 4), a turn about z and a shift.
-
-        The rays are kept unmoved, for `with_rays` to replace.
-        """
-        ends = np.pad(self.plane_ends_map, ((0, 0), (0, 0), (0, 1)))  # z = 0
-        planes = self.plane_starts
-        columns = {name: getattr(self, name).copy() for name in _MOVED}
-        for s in range(len(self.scan)):
-            plane = slice(planes[s], planes[s + 1])
-            columns["origin_map"][s] = transforms.apply(T[s], self.origin_map[s, None])[0]
-            columns["floor_map"][s] = _move_pieces(self.floor_map[s], T[s])
-            moved = transforms.apply(T[s], ends[plane].reshape(-1, 3))
-            columns["plane_ends_map"][plane] = moved[:, :2].reshape(-1, 2, 2)
-            columns["plane_normal"][plane] = self.plane_normal[plane] @ T[s, :2, :2].T
-            columns["plane_moments"][plane] = move_moments(self.plane_moments[plane], T[s])
-        return replace(self, **columns)
-
     @property
     def ray_starts(self) -> IntArray:
         """(s + 1,) int64: the rays of scan k are rows ray_starts[k] to ray_starts[k + 1]."""
@@ -87,50 +68,43 @@ class Features:
         return np.repeat(np.arange(len(self.scan)), self.plane_count.astype(np.int64))
 
 
-def extract(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
-    """The features of one scan in the map frame."""
-    chosen = ray_rows(index, labelling)
-    ends_map = placed.to_map(placed.points_level[chosen]).astype(np.float32)
-    moved = extract_planes(index, placed, labelling).moved(placed.T_map_level[None])
-    return with_rays(moved, [ends_map], [labelling.label[chosen]])
+def extract(
+    index: int,
+    placed: PlacedScan,
+    labelling: ScanLabelling,
+    points_map: FloatArray | None = None,
+    intensity: FloatArray = NO_INTENSITY,
+) -> Features:
+    """The features of one scan in the map frame.
 
-
-def extract_planes(index: int, placed: PlacedScan, labelling: ScanLabelling) -> Features:
-    """The same without rays, in the scan's level frame: independent of where the scan is placed."""
-    planes = labelling.planes
+    points_map: (n, 3) its returns, where they are known already. intensity: (n,), or (0,).
+    """
+    planes, floor, T = labelling.planes, labelling.floor, placed.T_map_level
+    # Every n-th return, line by line: in all directions.
+    stride = max(1, -(-len(labelling.label) // RAYS_PER_SCAN))
+    rays = labelling.lines.order[index % stride :: stride]
+    ends_map = placed.to_map(placed.points_level[rays]) if points_map is None else points_map[rays]
+    slope = floor.both_pieces[:, 1:] @ T[:2, :2].T
+    height_m = floor.both_pieces[:, 0] + T[2, 3] - slope @ T[:2, 3]
+    plane_ends = np.pad(planes.ends, ((0, 0), (0, 0), (0, 1)))  # z = 0
     return Features(
         scan=np.array([index]),
-        origin_map=placed.origin_level[None],
-        floor_map=labelling.floor.both_pieces[None],
-        floor_is_foot=np.array([labelling.floor.is_foot]),
+        origin_map=placed.to_map(placed.origin_level[None]),
+        floor_map=np.column_stack([height_m, slope])[None],
+        floor_is_foot=np.array([floor.is_foot]),
         floor_reach_m=np.array([FLOOR_RANGE_M]),
-        ray_count=np.zeros(1, np.int64),
+        ray_count=np.array([len(rays)]),
         plane_count=np.array([len(planes)]),
-        ray_end_map=np.zeros((0, 3), np.float32),
-        ray_label=np.zeros(0, np.uint8),
-        plane_ends_map=planes.ends,
-        plane_normal=planes.normal,
+        ray_end_map=ends_map.astype(np.float32),
+        ray_label=labelling.label[rays],
+        plane_ends_map=placed.to_map(plane_ends.reshape(-1, 3))[:, :2].reshape(-1, 2, 2),
+        plane_normal=planes.normal @ T[:2, :2].T,
         plane_bottom_m=planes.bottom_m,
         plane_top_m=planes.top_m,
         plane_lines=planes.line_count,
-        plane_moments=planes.moments,
+        plane_moments=move_moments(planes.moments, T),
+        ray_intensity=intensity[rays] if len(intensity) else intensity,
     )
-
-
-def ray_rows(index: int, labelling: ScanLabelling) -> IntArray:
-    """The returns of a scan whose rays are kept: every n-th, line by line, in all directions."""
-    stride = max(1, -(-len(labelling.label) // RAYS_PER_SCAN))
-    return labelling.lines.order[index % stride :: stride]
-
-
-_MOVED = ("origin_map", "floor_map", "plane_ends_map", "plane_normal", "plane_moments")
-"""The features, except rays, that depend on where their scan is placed."""
-
-
-def _move_pieces(pieces: FloatArray, T: FloatArray) -> FloatArray:
-    """The pieces (2, 3) of a floor in another frame, which differs by yaw and shift."""
-    slope = pieces[:, 1:] @ T[:2, :2].T
-    return np.column_stack([pieces[:, 0] + T[2, 3] - slope @ T[:2, 3], slope])
 
 
 def select_scans(features: Features, chosen: BoolArray) -> Features:
@@ -168,39 +142,20 @@ def without_rays(features: Features) -> Features:
     return select_rays(features, np.zeros(len(features.ray_label), bool))
 
 
-def with_rays(
-    features: Features,
-    ends_map: list[FloatArray],
-    labels: list[UInt8Array],
-    intensities: list[FloatArray] | None = None,
-) -> Features:
-    """The same scans with rays by scan: ends (r, 3), labels (r,), intensities (r,) or (0,)."""
-    counts = [len(end) for end in ends_map]
-    return replace(
-        features,
-        ray_count=np.array(counts, np.int64),
-        ray_end_map=np.concatenate(ends_map),
-        ray_label=np.concatenate(labels),
-        ray_intensity=_filled(intensities or [NO_INTENSITY] * len(counts), counts),
-    )
-
-
 def concatenate(parts: list[Features]) -> Features:
     """The features of at least one scan or block of scans as one."""
     columns = {
         f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Features)
     }
-    counts = [len(part.ray_end_map) for part in parts]
-    columns["ray_intensity"] = _filled([part.ray_intensity for part in parts], counts)
+    if len(columns["ray_intensity"]):
+        known = [
+            part.ray_intensity
+            if len(part.ray_intensity)
+            else np.full(len(part.ray_end_map), np.nan, np.float32)
+            for part in parts
+        ]
+        columns["ray_intensity"] = np.concatenate(known)
     return Features(**columns)
-
-
-def _filled(columns: list[FloatArray], counts: list[int]) -> FloatArray:
-    """One column of several, with NaN in place of the empty ones; empty where all are."""
-    if any(map(len, columns)):
-        rows = zip(columns, counts, strict=True)
-        columns = [c if len(c) else np.full(n, np.nan, c.dtype) for c, n in rows]
-    return np.concatenate(columns)
 
 
 def move_moments(moments: FloatArray, T_target_source: FloatArray) -> FloatArray:

@@ -10,6 +10,9 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.scan.rearrangement import Returns
 
+_SPAN_M = 0.2
+"""Length (m) over which the slope is measured. The neighbours of eq. 2 are millimetres apart, where
+noise decides."""
 _JUMP_M = 0.12  # maximum step (m) in horizontal range between neighbours of one structure
 _SLOPE_MAX, _SLOPE_LEVEL = 14.0, 20.0  # slopes (m per m) beyond the first are set to the second
 
@@ -22,13 +25,6 @@ class VerticalStructuresSettings(StepSettings):
         gt=0,
         description="Maximum change of horizontal range with height (m per m) of an upright line. "
         "Eq. 2.",
-    )
-    span_m: float = Field(
-        0.2,
-        gt=0,
-        le=2,
-        description="Length (m) over which the slope is measured. The neighbours of eq. 2 are "
-        "millimetres apart, where noise decides. III.B.",
     )
     points_min: int = Field(
         10,
@@ -72,11 +68,11 @@ def find_vertical_structures(
 
     Eq. 2 is computed as printed, but does not decide: the heights of neighbouring returns differ by
     millimetres, less than the noise of the range, so that it exceeds its threshold on a third of a
-    near wall. The slope of the line over `span_m` decides, by total least squares.
+    near wall. The slope of the line over `_SPAN_M` decides, by total least squares.
 
     samples: (L, 200) from `make_point_lines`.
     """
-    difference, slope, cut = _differences(returns, samples, settings.span_m, settings.slope_max)
+    difference, slope, cut = _differences(returns, samples, settings.slope_max)
     upright = np.abs(slope) < settings.slope_max
     joined = np.zeros((len(samples), samples.shape[1] + 1), bool)  # with the sample before
     joined[:, 1:-1] = upright[:, 1:] & upright[:, :-1] & ~cut[:, 1:]
@@ -104,7 +100,7 @@ def find_vertical_structures(
 
 @numba.njit(cache=True, nogil=True)
 def _differences(
-    returns: Returns, samples: IntArray, span_m: float, slope_max: float
+    returns: Returns, samples: IntArray, slope_max: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Eq. 2, the slope over the span, and whether the line jumps before a sample: (L, 200) each."""
     points, origin = returns.points_level, returns.origin_level
@@ -127,14 +123,14 @@ def _differences(
                 difference[line, j] = d_rho / d_z  # eq. 2
             cut[line, j] = abs(d_rho) > max(_JUMP_M, slope_max * abs(d_z))
             if cut[line, j]:
-                _slopes(rho[first:j], z[first:j], span_m, slope[line, first:j])
+                _slopes(rho[first:j], z[first:j], slope[line, first:j])
                 first = j
-        _slopes(rho[first:], z[first:], span_m, slope[line, first:])
+        _slopes(rho[first:], z[first:], slope[line, first:])
     return difference, slope, cut
 
 
 @numba.njit(cache=True, nogil=True)
-def _slopes(rho: FloatArray, z: FloatArray, span_m: float, slope: FloatArray) -> None:
+def _slopes(rho: FloatArray, z: FloatArray, slope: FloatArray) -> None:
     """Fill Δρ/Δz of the principal direction about each sample, over at least the span."""
     count = len(rho)
     if count < 3:
@@ -147,7 +143,7 @@ def _slopes(rho: FloatArray, z: FloatArray, span_m: float, slope: FloatArray) ->
         sums[j + 1, 2] = sums[j, 2] + r * r
         sums[j + 1, 3] = sums[j, 3] + r * h
         sums[j + 1, 4] = sums[j, 4] + h * h
-    low, high, span, half = 0, 0, span_m * span_m, 0.25 * span_m * span_m
+    low, high, span, half = 0, 0, _SPAN_M**2, 0.25 * _SPAN_M**2
     for j in range(count):
         # The window is as centred as the piece allows; both of its ends only move up.
         while high < count - 1 and (high < j or _apart_squared(rho, z, j, high) < half):

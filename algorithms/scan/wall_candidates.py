@@ -38,24 +38,15 @@ class WallPlanesSettings(StepSettings):
     height_min_m: float = Field(
         2.1, gt=0, description="Minimum height (m) of a wall where no ceiling is in view. III.B."
     )
-    bottom_max_m: float = Field(
-        2.2,
-        gt=0,
-        description="Maximum height above the floor (m) of a wall's lower edge, above a door; what "
-        "ends higher is a duct. III.B.",
-    )
     gap_m: float = Field(
         0.3, gt=0, description="Maximum gap (m) between neighbouring lines of a plane. Alg. 1."
     )
-    merge_gap_m: float = Field(
-        1.5,
-        ge=0,
-        description="Maximum gap (m) between planes in line that are joined: a line that broke the "
-        "plane is bridged. Alg. 1.",
-    )
     lines_min: int = Field(3, ge=2, description="Minimum number of lines in a wall plane. Alg. 1.")
-    length_min_m: float = Field(
-        0.15, ge=0, description="Minimum length (m) of a wall plane; columns are walls. III.B."
+    distance_m: float = Field(
+        0.045,
+        gt=0,
+        le=0.5,
+        description="Maximum distance (m) of a wall's return from a wall plane of the scan. III.C.",
     )
 
 

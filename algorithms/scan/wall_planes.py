@@ -17,6 +17,9 @@ from ffmap.algorithms.scan.wall_candidates import (
     choose_candidates,
 )
 
+LENGTH_MIN_M = 0.15  # minimum length (m) of a wall plane: the faces of columns are walls
+BOTTOM_MAX_M = 2.2  # maximum height (m) of a wall's lower edge, above a door: a duct ends higher
+_MERGE_GAP_M = 1.5  # maximum gap (m) between planes in line that are joined
 _SPREADS = 1.5
 """Distance of a candidate's ends from its mean, in standard deviations: √3 for evenly spread
 samples; less, so that a few odd samples do not lengthen a plane."""
@@ -120,15 +123,15 @@ def grow_wall_planes(
     normal, offset_m, rms_m, length_m = fits[:, :2], fits[:, 2], fits[:, 3], fits[:, 5] - fits[:, 4]
     bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, count)
     top_m = _per_plane(np.maximum, structures.top_m[candidates.structure], plane, count)
-    too_few, too_short = lines < lines_min, length_m < settings.length_min_m
+    too_few, too_short = lines < lines_min, length_m < LENGTH_MIN_M
     fails = [too_few, too_short, rms_m > settings.similarity_m]
     reasons = [Membership.FEW_LINES, Membership.SHORT, Membership.ROUGH]
     verdict = np.select(fails, reasons, Membership.IN_PLANE)
-    for k in np.flatnonzero((verdict == Membership.IN_PLANE) & (bottom_m >= settings.bottom_max_m)):
+    for k in np.flatnonzero((verdict == Membership.IN_PLANE) & (bottom_m >= BOTTOM_MAX_M)):
         own = candidates.structure[plane == k]
         behind = _structures_behind(returns, samples, structures, own, fits[k], settings)
         lowest = behind if len(behind) >= lines_min else own
-        if structures.bottom_m[lowest].min() >= settings.bottom_max_m:
+        if structures.bottom_m[lowest].min() >= BOTTOM_MAX_M:
             verdict[k] = Membership.DUCT
 
     # The walls, numbered without the others; none, -1, is the last row of the appended arrays.
@@ -240,7 +243,7 @@ def _settle(
     """
     moments, count = candidates.moments, grown.max(initial=0) + 1
     plane, lines_min = grown.copy(), settings.lines_min
-    _join_in_line(plane, moments, count, settings.similarity_m, settings.merge_gap_m, lines_min)
+    _join_in_line(plane, moments, count, settings.similarity_m, lines_min)
     reaches = candidates.reach[:, None] != Reach.LOW
     x, y = candidates.middle.T[:, :, None]
     # Twice, because the first time moves the planes.
@@ -314,7 +317,6 @@ def _join_in_line(
     moments: FloatArray,
     count: int,
     similarity_m: float,
-    merge_gap_m: float,
     lines_min: int,
 ) -> None:
     """Join planes in line, largest first: a line before the wall has cut it in Algorithm 1.
@@ -333,9 +335,7 @@ def _join_in_line(
                 continue
             for j in by_size[a + 1 :]:
                 # A single line has no direction that could be the wall's.
-                if lines[j] >= 2 and _are_in_line(
-                    plane, moments, total, i, j, similarity_m, merge_gap_m
-                ):
+                if lines[j] >= 2 and _are_in_line(plane, moments, total, i, j, similarity_m):
                     plane[plane == j] = i
                     total[i] += total[j]
                     lines[i] += lines[j]
@@ -352,9 +352,8 @@ def _are_in_line(
     larger: int,
     smaller: int,
     similarity_m: float,
-    gap_m: float,
 ) -> bool:
-    """Whether one plane fits two, with a gap of at most `gap_m` metres between them."""
+    """Whether one plane fits two that are at most `_MERGE_GAP_M` apart."""
     nx, ny, offset, rms, _ = fit_upright_plane(total[larger] + total[smaller])
     # Stricter than for a candidate, or two faces 2 σ_th apart would become one between them. The
     # smaller plane is known less well.
@@ -366,7 +365,7 @@ def _are_in_line(
         return False
     low_i, high_i = _span(moments, plane == larger, nx, ny)
     low_j, high_j = _span(moments, plane == smaller, nx, ny)
-    return bool(max(low_i, low_j) - min(high_i, high_j) <= gap_m)
+    return bool(max(low_i, low_j) - min(high_i, high_j) <= _MERGE_GAP_M)
 
 
 def _structures_behind(

@@ -6,6 +6,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import NO_RETURN, Verdict
 from ffmap.algorithms.base.scan import BoolArray, Scan, UInt8Array, within_range
+from ffmap.algorithms.base.trajectory import EXTRAPOLATE_NS
 from ffmap.algorithms.building.label_reasons import REASONS
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
@@ -98,8 +99,8 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     scan = within_range(scan, settings.scan.range_max_m)
     given = given_poses(options.trajectory, inputs, settings, options.trajectory_frame)
     poses = estimate_poses(inputs, given, settings, lambda: bag_digest)
-    margin_ns = int(settings.trajectory.extrapolate_s * 1e9)
-    if not poses.registered.covers(np.array([scan.start_ns, scan.end_ns]), margin_ns).all():
+    swept_ns = np.array([scan.start_ns, scan.end_ns])
+    if not poses.registered.covers(swept_ns, EXTRAPOLATE_NS).all():
         raise _skipped(number, "no pose at its time")
     try:
         scan = lidar.seen(scan, poses.registered)
@@ -111,7 +112,6 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
             poses.base_height_m,
             poses.floor_slope,
             settings.rearrangement,
-            settings.trajectory.level_scan_max_deg,
         )
         seed = seed_of(settings.seed, cloud)
         labelling = label_scan(

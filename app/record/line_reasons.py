@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray
-from ffmap.algorithms.scan.doors import Depression, DoorState
+from ffmap.algorithms.scan.doors import EXCEPTIONS_MAX, HEIGHT_MAX_M, Depression, DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
+from ffmap.algorithms.scan.point_lines import POINTS_MIN
 from ffmap.algorithms.scan.wall_candidates import Reach
-from ffmap.algorithms.scan.wall_planes import Membership
+from ffmap.algorithms.scan.wall_planes import BOTTOM_MAX_M, LENGTH_MIN_M, Membership
 from ffmap.app.record.tables import fields_table, table
 from ffmap.blueprints.entities import LINE_OUTCOMES, LineOutcome
 
@@ -102,10 +103,10 @@ def _explain(labelling: ScanLabelling, line: int, outcome: LineOutcome) -> LineR
 
 
 def _has_samples(labelling: ScanLabelling, line: int) -> Condition:
-    lines, least = labelling.lines, labelling.settings.rearrangement.line_points_min
+    lines = labelling.lines
     returns, met = lines.starts[line + 1] - lines.starts[line], lines.samples[line, 0] >= 0
     name = "III.A: returns without floor and ceiling"
-    return Condition(name, f"of {returns} returns", f"≥ {least}", bool(met))
+    return Condition(name, f"of {returns} returns", f"≥ {POINTS_MIN}", bool(met))
 
 
 def _has_structure(labelling: ScanLabelling, line: int) -> Condition:
@@ -152,14 +153,14 @@ def _membership(labelling: ScanLabelling, c: int) -> Condition:
         case Membership.FEW_LINES:
             return Condition("Alg. 1: lines left in its plane", "fewer", few, False)
         case Membership.SHORT:
-            limit = f"≥ {_cm(settings.length_min_m)}"
+            limit = f"≥ {_cm(LENGTH_MIN_M)}"
             return Condition("III.B: length of its plane", "shorter", limit, False)
         case Membership.ROUGH:
             limit = f"≤ {_cm(settings.similarity_m)}"
             return Condition("Alg. 1: RMS of its plane", "more", limit, False)
         case Membership.DUCT:
             bottom_m = labelling.structures.bottom_m[planes.candidate_structure[c]]
-            limit = f"≤ {settings.bottom_max_m:g} m in one line"
+            limit = f"≤ {BOTTOM_MAX_M:g} m in one line"
             name = "III.B: lower edge (else a duct)"
             return Condition(name, f"at {bottom_m:.2f} m", limit, False)
 
@@ -199,7 +200,7 @@ def _is_behind(labelling: ScanLabelling, d: int) -> Condition:
     share, behind_m = doors.on_plane_share[d], -doors.below_m[d]
     if doors.behind[d]:
         measured = f"{_cm(behind_m)}, {share:.0%} on the plane"
-        limit = f"{recess}, ≤ {settings.exceptions_max:.0%} on it"
+        limit = f"{recess}, ≤ {EXCEPTIONS_MAX:.0%} on it"
         return Condition(name, measured, limit, True)
     match Depression(doors.depression[d]):
         case Depression.FEW_RETURNS:
@@ -214,7 +215,7 @@ def _is_behind(labelling: ScanLabelling, d: int) -> Condition:
         case Depression.SHALLOW:
             measured, limit = _cm(behind_m), recess
         case Depression.EXCEPTIONS:
-            measured, limit = f"{share:.0%} on the plane", f"≤ {settings.exceptions_max:.0%}"
+            measured, limit = f"{share:.0%} on the plane", f"≤ {EXCEPTIONS_MAX:.0%}"
         case Depression.HELD:
             measured, limit = "nothing behind", recess
     return Condition(name, measured, limit, False)
@@ -223,7 +224,7 @@ def _is_behind(labelling: ScanLabelling, d: int) -> Condition:
 def _is_high(labelling: ScanLabelling, d: int) -> Condition:
     doors, settings = labelling.door_lines, labelling.settings.doors
     measured = f"begins at {doors.start_height_m[d]:.2f} m"
-    limit = f"{settings.height_min_m:g}–{settings.height_max_m:g} m"
+    limit = f"{settings.height_min_m:g}–{HEIGHT_MAX_M:g} m"
     return Condition("III.C, door 3: height", measured, limit, bool(doors.high_enough[d]))
 
 

@@ -13,20 +13,18 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import NO_RETURN, Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, within_range
-from ffmap.algorithms.base.trajectory import PlacedScan, Trajectory, level_frame
+from ffmap.algorithms.base.trajectory import (
+    EXTRAPOLATE_NS,
+    PlacedScan,
+    Trajectory,
+    level_frame,
+)
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.maps.rivals import RivalCounter, RivalReturns
+from ffmap.algorithms.maps.rivals import Rival, rival_returns
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.smoothing import smooth_ranges
-from ffmap.algorithms.scan.summary import (
-    NO_INTENSITY,
-    Features,
-    concatenate,
-    extract_planes,
-    ray_rows,
-    with_rays,
-)
+from ffmap.algorithms.scan.summary import NO_INTENSITY, Features, concatenate, extract
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_lidar, log_scan, log_skipped, scan_metrics
 from ffmap.app.run.arrays import map_arrays, pack, pack_rows, unpack_rows, write_arrays
@@ -199,7 +197,7 @@ def label_block(block: Block) -> LabelledBlock:
         return LabelledBlock(figures, unpack_rows(SkippedScan, arrays, "skipped_"))
     block.relabelled.unlink(missing_ok=True)
     votes = VoxelTable(VOXEL_M, len(Label))
-    rivals = RivalCounter(block.settings.grid_map.cell_m)
+    rivals = VoxelTable(block.settings.grid_map.cell_m, len(Rival))
     scans: list[LabelledScan] = []
     features: list[Features] = []
     done = LabelledBlock([], [])
@@ -223,7 +221,7 @@ def label_block(block: Block) -> LabelledBlock:
                 features.append(own.features)
                 done.scans.append(own.figures)
                 votes.add(own.points_map, own.scan.label)
-                rivals.add(own.points_map, own.rivals)
+                rivals.add(*own.rivals)
             watch = _Stopwatch()
     written = {
         **pack_rows(scans),
@@ -242,7 +240,7 @@ class _Labelled:
     scan: LabelledScan
     points_map: FloatArray
     features: Features
-    rivals: RivalReturns
+    rivals: tuple[FloatArray, UInt8Array]
     figures: ScanFigures
 
 
@@ -269,7 +267,6 @@ def _label(
         block.base_height_m,
         block.floor_slope,
         settings.rearrangement,
-        settings.trajectory.level_scan_max_deg,
     )
     watch.lap("placing")
     # By the cloud's own number: other lidars on the robot do not change its labels.
@@ -279,21 +276,17 @@ def _label(
     )
     watch.lap("labelling")
     metrics = scan_metrics(ranges, labelling, watch.milliseconds)
-    rivals = RivalReturns.of(level.placed.points_level, labelling)
     level = _with_loops_closed(level, scan, block)
     labelled = LabelledScan.of(number, scan, level.placed, labelling)
     points_map = labelled.points_map
-    rays = ray_rows(cloud, labelling)
-    features = with_rays(
-        extract_planes(number, level.placed, labelling).moved(labelled.T_map_level[None]),
-        [points_map[rays]],
-        [labelling.label[rays]],
-        [NO_INTENSITY if scan.intensity is None else scan.intensity[rays]],
-    )
+    rivals = rival_returns(level.placed.points_level, points_map, labelling)
+    intensity = NO_INTENSITY if scan.intensity is None else scan.intensity
+    features = extract(cloud, level.placed, labelling, points_map, intensity)
+    features = replace(features, scan=np.array([number]))
     if log:
         known = any(sensor.lidar.decoding.intensity for sensor in inputs.verticals)
-        intensity = NO_INTENSITY if scan.intensity is None and known else scan.intensity
-        log_scan(log, number, level, labelling, scan.stamp_ns, intensity)
+        shown = intensity if len(intensity) or known else None
+        log_scan(log, number, level, labelling, scan.stamp_ns, shown)
         if len(inputs.verticals) > 1:
             log_lidar(log, place, lidar.topic)
     returns = np.bincount(labelling.label, minlength=len(Label))[list(Label)]
@@ -359,9 +352,8 @@ def _usable(number: int, scan: Scan | SkippedScan, block: Block) -> Scan | Skipp
     if isinstance(scan, SkippedScan):
         return scan
     settings = block.settings
-    extrapolate_ns = int(settings.trajectory.extrapolate_s * 1e9)
     swept_ns = np.array([scan.start_ns, scan.end_ns])
-    if not block.registered.covers(swept_ns, extrapolate_ns).all():
+    if not block.registered.covers(swept_ns, EXTRAPOLATE_NS).all():
         return SkippedScan(number, scan.stamp_ns, "no pose at its time")
     range_max_m = settings.scan.range_max_m
     near = within_range(scan, range_max_m)

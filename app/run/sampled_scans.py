@@ -14,8 +14,8 @@ from ffmap.loaders.scans import read_scans
 
 _MAP_POINTS = 12_000
 """Maximum number of returns of one scan in a map."""
-_LEVEL_SCANS, _LEVEL_POINTS = 24, 4_000
-"""Number of scans that level the map, and of returns of each."""
+_LEVEL_S, _LEVEL_SCANS, _LEVEL_POINTS = 8.0, 24, 4_000
+"""Of the map's levelling: seconds from the start, number of scans, and of returns of each."""
 _MARGIN_NS = 100_000_000
 """Duration (ns) of a sweep: it is covered by poses that begin and end so much farther out."""
 
@@ -52,7 +52,7 @@ def level_by_first_scans(inputs: Inputs, poses: Trajectory, settings: Settings) 
     poses: T_odom_base, as registered.
     """
     elapsed_ns = poses.stamp_ns - poses.stamp_ns[0]
-    count = int(np.searchsorted(elapsed_ns, int(settings.trajectory.level_s * 1e9))) + 1
+    count = int(np.searchsorted(elapsed_ns, round(_LEVEL_S * 1e9))) + 1
     poses = poses.part(0, count)
     sensor = inputs.vertical or inputs.horizontal
     assert sensor is not None

@@ -15,7 +15,6 @@ from pydantic import Field, ValidationError
 
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.base.trajectory import TrajectorySettings
 from ffmap.algorithms.building.blinds import BlindsSettings
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
@@ -45,7 +44,7 @@ from ffmap.algorithms.poses.odometry import OdometrySettings
 from ffmap.algorithms.poses.pose_graph import PoseGraphSettings
 from ffmap.algorithms.poses.refinement import RefinementSettings
 from ffmap.algorithms.scan.doors import DoorsSettings
-from ffmap.algorithms.scan.labelling import LabellingSettings, MethodSettings
+from ffmap.algorithms.scan.labelling import MethodSettings
 from ffmap.algorithms.scan.rearrangement import RearrangementSettings
 from ffmap.algorithms.scan.smoothing import SmoothingSettings
 from ffmap.algorithms.scan.vertical_structures import VerticalStructuresSettings
@@ -65,14 +64,12 @@ class Settings(StepSettings):
     odometry: OdometrySettings = OdometrySettings()
     refinement: RefinementSettings = RefinementSettings()
     pose_graph: PoseGraphSettings = PoseGraphSettings()
-    trajectory: TrajectorySettings = TrajectorySettings()
     scan: ScanSettings = ScanSettings()
     smoothing: SmoothingSettings = SmoothingSettings()
     rearrangement: RearrangementSettings = RearrangementSettings()
     vertical_structures: VerticalStructuresSettings = VerticalStructuresSettings()
     wall_planes: WallPlanesSettings = WallPlanesSettings()
     doors: DoorsSettings = DoorsSettings()
-    labelling: LabellingSettings = LabellingSettings()
     building: BuildingSettings = BuildingSettings()
     levels: LevelsSettings = LevelsSettings()
     face_columns: FaceColumnsSettings = FaceColumnsSettings()

@@ -11,6 +11,7 @@ from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.ray_evidence import trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.maps import free_space
 from ffmap.algorithms.maps.free_space import draw_free
 from ffmap.algorithms.maps.furniture_free import (
     Immobile,
@@ -166,14 +167,14 @@ def test_the_reveals_of_a_window_are_no_walls_but_its_sill_is() -> None:
         assert sum(np.linalg.norm(ends[1] - ends[0]) for ends in southern) > 3.9
 
 
-def test_free_is_only_space_near_to_visible_floor() -> None:
+def test_free_is_only_space_near_to_visible_floor(monkeypatch: pytest.MonkeyPatch) -> None:
     rooms = TwoRooms(both_seen=False)
     immobile, drive = rooms.build()
     features = next(iter(drive.blocks()))
     label = np.where(features.ray_end_map[:, 0] > 1.5, Label.CLUTTER, features.ray_label)
     dark = replace(features, ray_label=label.astype(np.uint8))
-    near = GridMapSettings(floor_reach_m=0.5)
-    grid = draw(immobile, Drive(drive.path_map[:1], lambda: [dark]), near)
+    monkeypatch.setattr(free_space, "FLOOR_REACH_M", 0.5)
+    grid = draw(immobile, Drive(drive.path_map[:1], lambda: [dark]))
     assert (at(grid, rooms, np.array([[1.0, 1.0], [1.8, 1.0]])) == Cell.FREE).all()
     # From 3.3 m away rays to the floor at 1.5 m run below the knee from 2.6 m on.
     assert (at(grid, rooms, np.array([[3.3, 1.0], [3.5, 1.0]])) == Cell.UNKNOWN).all()
@@ -186,19 +187,21 @@ def short_wall(rooms: TwoRooms) -> tuple[Immobile, Drive]:
     return with_walls(rooms, walls)
 
 
-def test_floor_beyond_a_sill_is_not_free_although_it_was_seen() -> None:
+def test_floor_beyond_a_sill_is_not_free_although_it_was_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     rooms = TwoRooms(glass=(0.7, 2.1), both_seen=False, outside_m=9.0)
     immobile, drive = short_wall(rooms)
-    settings = GridMapSettings(floor_reach_m=0.5)
+    monkeypatch.setattr(free_space, "FLOOR_REACH_M", 0.5)
     blocks = list(drive.blocks())
     seen = np.concatenate([block.ray_end_map[block.ray_label == Label.FLOOR] for block in blocks])
     assert np.count_nonzero(seen[:, 1] < -3.0) > 20
-    free = draw(immobile, drive, settings).centres(Cell.FREE)
+    free = draw(immobile, drive).centres(Cell.FREE)
     assert free[:, 1].min() > -0.6
-    assert np.count_nonzero(free[:, 1] > 0) * settings.cell_m**2 > 11.0
+    assert np.count_nonzero(free[:, 1] > 0) * SETTINGS.cell_m**2 > 11.0
     # A known pane stops rays in every map.
     none = np.zeros((0, 2), int)
-    free = draw_cells(none, rooms.window, drive, settings, KNEE_M).centres(Cell.FREE)
+    free = draw_cells(none, rooms.window, drive, SETTINGS, KNEE_M).centres(Cell.FREE)
     assert free[(free[:, 0] > 1.2) & (free[:, 0] < 1.8), 1].min() > -0.1
 
 
@@ -311,9 +314,9 @@ def test_maps_that_are_drawn_together_are_as_if_each_were_alone() -> None:
         draft_cells(places, frame, windows)
         for places, windows in ((few, NO_WINDOWS), (more, rooms.window), (few, NO_WINDOWS))
     ]
-    together = draw_free(drafts, frame, drive, SETTINGS.floor_reach_m, KNEE_M)
+    together = draw_free(drafts, frame, drive, KNEE_M)
     for draft, grid in zip(drafts, together, strict=True):
-        alone, _ = draw_free([draft, drafts[0]], frame, drive, SETTINGS.floor_reach_m, KNEE_M)
+        alone, _ = draw_free([draft, drafts[0]], frame, drive, KNEE_M)
         common = grid.cropped_to(alone)
         known = common.cells != Cell.UNKNOWN
         np.testing.assert_array_equal(common.cells[known], alone.cells[known])

@@ -1,7 +1,5 @@
 """The paper's other maps of a furnished room that is known: what a slice cuts, what the up-most structure is."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -10,8 +8,8 @@ from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.maps.free_space import draw_free
-from ffmap.algorithms.maps.grid import Cell, GridMap, GridMapSettings
-from ffmap.algorithms.maps.rivals import _HITS_MIN, Rival, RivalCounter, RivalReturns, draft_rival
+from ffmap.algorithms.maps.grid import Cell, GridMap
+from ffmap.algorithms.maps.rivals import _HITS_MIN, Rival, draft_rival, rival_returns
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.summary import extract
 from tests import synthetic
@@ -32,11 +30,11 @@ def scans() -> list[tuple[PlacedScan, ScanLabelling]]:
 
 
 def counted(scans: list[tuple[PlacedScan, ScanLabelling]]) -> VoxelVotes:
-    counter = RivalCounter(CELL_M)
+    table = VoxelTable(CELL_M, len(Rival))
     for placed, labelling in scans:
         points_map = placed.to_map(placed.points_level)
-        counter.add(points_map, RivalReturns.of(placed.points_level, labelling))
-    return counter.votes()
+        table.add(*rival_returns(placed.points_level, points_map, labelling))
+    return table.votes()
 
 
 def cells_of(votes: VoxelVotes, rival: Rival) -> np.ndarray:
@@ -79,15 +77,6 @@ def test_a_slice_under_the_ceiling_does_not_see_the_door(scans):
     assert behind(Rival.MIDDLE) > 0
 
 
-def test_counts_add_up_in_any_portions(scans):
-    whole = counted(scans)
-    table = VoxelTable(CELL_M, len(Rival))
-    for first, last in pairwise([0, 1, 4]):
-        table.absorb(counted(scans[first:last]))
-    np.testing.assert_array_equal(table.votes().keys, whole.keys)
-    np.testing.assert_array_equal(table.votes().counts, whole.counts)
-
-
 def test_without_a_ceiling_there_is_no_slice(scans):
     placed, labelling = scans[0]
     bare = ScanLabelling(**{**labelling.__dict__, "ceilings": ()})
@@ -103,7 +92,7 @@ def test_rivals_are_drawn_and_freed_by_rays(scans):
     for rival in Rival:
         frame = GridMap.around([cells_of(votes, rival), path], CELL_M)
         draft = draft_rival(rival, votes, frame, NO_WINDOWS)
-        (grid,) = draw_free([draft], frame, drive, GridMapSettings().floor_reach_m, KNEE_M)
+        (grid,) = draw_free([draft], frame, drive, KNEE_M)
         np.testing.assert_allclose(
             np.sort(grid.centres(Cell.OCCUPIED), axis=0).mean(axis=0),
             cells_of(votes, rival).mean(axis=0),

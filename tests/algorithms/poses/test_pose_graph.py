@@ -1,6 +1,7 @@
 """Loops closed on two laps of a circle, by an odometry that drifts."""
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.poses import pose_graph
 from ffmap.algorithms.poses.gaussian_map import Aligned
 from ffmap.algorithms.poses.pose_graph import (
     Edge,
@@ -17,7 +19,7 @@ from ffmap.algorithms.poses.pose_graph import (
     solve,
 )
 
-SETTINGS = PoseGraphSettings(submap_scans=8, every_scans=4)
+SETTINGS = PoseGraphSettings()
 POINTS = 1200
 Drive = tuple[FloatArray, FloatArray, list[FloatArray]]
 
@@ -65,6 +67,14 @@ def off_m(T: FloatArray, T_true: FloatArray) -> FloatArray:
     """(n,) metres from the true way, both relative to their first pose."""
     off = transforms.invert(T[0]) @ T - transforms.invert(T_true[0]) @ T_true
     return np.linalg.norm(off[:, :3, 3], axis=1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_submaps() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pose_graph, "_SUBMAP_SCANS", 8)
+        patch.setattr(pose_graph, "_EVERY_SCANS", 4)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ def labelled(scan: Scan, placed: PlacedScan) -> ScanLabelling:
 def test_a_column_is_a_sector_from_below_upwards_resampled_from_its_middle() -> None:
     scan, _, _ = swept()
     is_horizontal = np.zeros(len(scan), bool)
-    lines = make_point_lines(scan, DOWN, is_horizontal, METHOD.rearrangement, COLUMN_PAIRS)
+    lines = make_point_lines(scan, DOWN, is_horizontal, COLUMN_PAIRS)
     assert lines.samples.shape == (2 * COLUMN_PAIRS, SAMPLES)
     assert sorted(lines.order.tolist()) == list(range(len(scan)))
     x, y, z = scan.points_sensor.T
@@ -97,5 +97,5 @@ def test_a_column_whose_middle_is_all_floor_is_no_line() -> None:
     points = np.column_stack([2 * np.cos(azimuth_rad), 2 * np.sin(azimuth_rad), np.full(41, -1.0)])
     is_floor = np.arange(41) == 20
     scan = scan_of(points, np.zeros(41, np.uint16), 1)
-    lines = make_point_lines(scan, DOWN, is_floor, METHOD.rearrangement, COLUMN_PAIRS)
+    lines = make_point_lines(scan, DOWN, is_floor, COLUMN_PAIRS)
     assert np.all(lines.samples == -1)

@@ -6,7 +6,7 @@ import pytest
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.scan.point_lines import SAMPLES, make_point_lines
-from tests.corridor import METHOD, T_BASE_SENSOR, labelled
+from tests.corridor import T_BASE_SENSOR, labelled
 from tests.synthetic import scan_of
 
 
@@ -33,7 +33,7 @@ def test_point_lines_have_exactly_200_returns_from_below_upwards() -> None:
 def test_an_upright_spin_axis_has_no_lines_of_emitters(tilt_deg: float, has_lines: bool) -> None:
     scan, _, _, _ = labelled()
     down = np.array([np.sin(np.radians(tilt_deg)), 0.0, -np.cos(np.radians(tilt_deg))])
-    inputs = scan, down, np.zeros(len(scan), bool), METHOD.rearrangement
+    inputs = scan, down, np.zeros(len(scan), bool)
     if has_lines:
         assert len(make_point_lines(*inputs).order) == len(scan)
     else:
@@ -51,7 +51,7 @@ def test_a_ring_is_cut_at_straight_down_and_straight_up(down_deg: float) -> None
     points = np.column_stack([np.cos(azimuth_rad), np.sin(azimuth_rad), np.zeros(390)])
     scan = scan_of(points, np.repeat([0, 2], [360, 30]), 3)
     down = np.array([np.cos(np.radians(down_deg)), np.sin(np.radians(down_deg)), 0.0])
-    lines = make_point_lines(scan, down, np.zeros(len(scan), bool), METHOD.rearrangement)
+    lines = make_point_lines(scan, down, np.zeros(len(scan), bool))
     from_down_deg = (azimuth_deg - down_deg + 180.0) % 360.0 - 180.0
     for ring, rows in ((0, np.arange(360)), (1, np.arange(0)), (2, np.arange(360, 390))):
         for side, sign in ((0, 1.0), (1, -1.0)):

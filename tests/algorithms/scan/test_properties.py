@@ -15,7 +15,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import Scan
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.scan.ceiling import find_ceilings
-from ffmap.algorithms.scan.floor import Floor, find_floor
+from ffmap.algorithms.scan.floor import FLOOR_SEARCH_M, Floor, find_floor
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings
 from tests import synthetic
@@ -129,7 +129,7 @@ class TestHorizontalPlanes:
         def check(cloud: np.ndarray) -> None:
             floor = find_floor(cloud, REARRANGEMENT)
             assert is_sound(floor, REARRANGEMENT.floor_slope_max, cloud)
-            if np.count_nonzero(np.abs(cloud[:, 2]) <= REARRANGEMENT.floor_search_m) < 20:
+            if np.count_nonzero(np.abs(cloud[:, 2]) <= FLOOR_SEARCH_M) < 20:
                 assert (floor.height_m, floor.slope.tolist(), floor.support) == (0.0, [0.0, 0.0], 0)
             found[floor.support > 0] += 1
 

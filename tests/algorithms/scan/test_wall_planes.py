@@ -10,7 +10,13 @@ from ffmap.algorithms.scan.point_lines import SAMPLES
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 from ffmap.algorithms.scan.wall_candidates import Reach, WallPlanesSettings
-from ffmap.algorithms.scan.wall_planes import Growth, Membership, WallPlanes, grow_wall_planes
+from ffmap.algorithms.scan.wall_planes import (
+    BOTTOM_MAX_M,
+    Growth,
+    Membership,
+    WallPlanes,
+    grow_wall_planes,
+)
 
 SETTINGS = WallPlanesSettings()
 UPPER_PART_M = 0.4
@@ -18,7 +24,7 @@ CEILING_M = 2.8
 CEILING = HorizontalPlane(CEILING_M, np.zeros(2), 1000)
 ORIGIN = np.array([0.0, 0.0, 1.0])
 SPAN_M = (0.1, 2.75)
-DUCT_M = (SETTINGS.bottom_max_m + 0.1, 2.75)
+DUCT_M = (BOTTOM_MAX_M + 0.1, 2.75)
 SEEDED, JOINED, BROKE, REFUSED = Growth.SEEDED, Growth.JOINED, Growth.BROKE, Growth.REFUSED
 
 
@@ -177,9 +183,9 @@ def test_a_coplanar_candidate_too_far_along_the_wall_breaks_the_plane() -> None:
     found = grow(apart)
     assert found.candidate_growth.tolist() == [SEEDED] + [JOINED] * 5 + [BROKE] + [JOINED] * 5
     assert found.candidate_distance_m[6] < 0.01
-    # The gap is wider than planes in line are joined across; a wider limit joins them.
+    # The gap is wider than planes in line are joined across.
     assert found.candidate_plane.tolist() == [0] * 6 + [1] * 6
-    joined = grow(apart, settings=SETTINGS.model_copy(update={"merge_gap_m": 2.5}))
+    joined = grow(np.concatenate([apart[:6] + np.array([1.0, 0.0]), apart[6:]]))
     assert joined.candidate_growth.tolist() == found.candidate_growth.tolist()
     assert joined.candidate_plane.tolist() == [0] * 12
 

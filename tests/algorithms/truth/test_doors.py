@@ -16,9 +16,7 @@ def doors(
     ends = np.array([[np.array(m) - half, np.array(m) + half] for m in midpoints])
     leaves = tuple(e[None] if leaf else np.zeros((0, 2, 2)) for e in ends)
     count = len(midpoints)
-    return TrueDoors(
-        ends.reshape(-1, 2, 2), np.full(count, 2.0), leaves, np.zeros(count, np.uint8)
-    )
+    return TrueDoors(ends.reshape(-1, 2, 2), np.full(count, 2.0), leaves, np.zeros(count, np.uint8))
 
 
 def compare(

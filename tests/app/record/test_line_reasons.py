@@ -75,8 +75,6 @@ def test_lines_are_explained_by_their_conditions(usual: ScanLabelling) -> None:
     [
         ({"reach_m": 0.001}, Membership.REFUSED, "below the ceiling (limit ≤ 0.1 cm)"),
         ({"lines_min": 60}, Membership.ALONE, "no other near (limit ≥ 60 lines, or < 5.0 cm)"),
-        ({"length_min_m": 30.0}, Membership.SHORT, "length of its plane: shorter (limit ≥ 30.00 m"),
-        ({"bottom_max_m": 0.01}, Membership.DUCT, "(else a duct)"),
     ],
 )
 def test_the_reason_changes_with_the_setting(

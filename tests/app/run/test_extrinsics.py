@@ -13,7 +13,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import ffmap_here, rig_of, with_cache, write_rig
 
-SHORT = ("--outputs", "labels,maps", "--set", "trajectory.level_s=3")
+SHORT = ("--outputs", "labels,maps")
 
 
 def run(folder: Path, out: str, *words: object) -> "subprocess.CompletedProcess[str]":

@@ -35,10 +35,8 @@ def test_a_scan_is_levelled_by_a_floor_that_is_a_plane(
     trajectory = Trajectory(np.array([-1, 1]) * 10**9, np.tile(np.eye(4), (2, 1, 1)))
     # These returns follow no ring.
     ranges = smooth_ranges(scan, SmoothingSettings(returns=0))
-    rearrangement, most_deg = SETTINGS.rearrangement, SETTINGS.trajectory.level_scan_max_deg
-    level = place_and_level(
-        scan, ranges, trajectory, np.eye(4), 0.0, np.zeros(2), rearrangement, most_deg
-    )
+    rearrangement = SETTINGS.rearrangement
+    level = place_and_level(scan, ranges, trajectory, np.eye(4), 0.0, np.zeros(2), rearrangement)
     placed, floor = level.placed, level.floor
     np.testing.assert_allclose(floor.heights_above(placed.points_level).std(), 0.01, atol=0.002)
     assert (np.abs(placed.points_level - scan.points_sensor).max() > 0.01) == turned
@@ -57,9 +55,7 @@ def test_a_scan_of_a_lidar_that_is_lifted_keeps_the_maps_floor() -> None:
     T_map_base[:3, 3] = [*at_m, height_m + at_m @ slope]
     trajectory = Trajectory(np.array([-1, 1]) * 10**9, np.tile(T_map_base, (2, 1, 1)))
     ranges = smooth_ranges(scan, SmoothingSettings(returns=0))
-    level = place_and_level(
-        scan, ranges, trajectory, np.eye(4), 1.0, slope, SETTINGS.rearrangement, 2.0
-    )
+    level = place_and_level(scan, ranges, trajectory, np.eye(4), 1.0, slope, SETTINGS.rearrangement)
     assert level.floor.support > 5000
     heights_m = level.floor.heights_above(level.placed.points_level)
     assert abs(heights_m.mean()) < 0.002

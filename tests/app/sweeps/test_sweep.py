@@ -19,7 +19,7 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import FFMAP, FFMAP_IN_FRONT, ffmap, with_cache
 
-GRID = ["--grid", "labelling.wall_distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
+GRID = ["--grid", "wall_planes.distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
 SEEDS = ["seed=0,1"]
 Killed = tuple[Path, dict[str, int], str]
 
@@ -91,7 +91,7 @@ def test_each_run_has_its_files_and_its_row(killed: Killed) -> None:
     out = killed[0]
     with (out / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert {row["labelling.wall_distance_m"] for row in rows} == {"0.01", "0.045"}
+    assert {row["wall_planes.distance_m"] for row in rows} == {"0.01", "0.045"}
     for row in rows:
         names = {path.name for path in (out / row["run"]).iterdir()}
         assert {"recording.rrd", "evaluation.rrd", "labels.parquet", "map.yaml"} <= names
