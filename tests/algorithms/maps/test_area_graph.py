@@ -1,6 +1,5 @@
 """Rooms of plans that are known: turned, furnished, noisy, seen in part, and degenerate."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,20 +122,14 @@ def test_every_room_of_a_plan_is_found_whole_at_any_angle(angle_deg: float) -> N
     assert_found(graph, plan)
     assert_star(graph, plan)
     for passage in graph.passages:
-        assert np.linalg.norm(passage.line[1] - passage.line[0]) == pytest.approx(
-            DOOR_M, abs=3 * CELL_M
-        )
-        assert (
-            min(shapely.Point(passage.line.mean(axis=0)).distance(d) for d in plan.doorways)
-            < 2 * CELL_M
-        )
-        assert passage.door is None
-    assert np.diff([room.area_m2 for room in graph.rooms]).max() < 1e-6
-    assert len({room.name for room in graph.rooms}) == len(graph)
-    for index, room in enumerate(graph.rooms):
-        assert np.count_nonzero(graph.label == index) * CELL_M**2 == pytest.approx(
-            room.area_m2, rel=0.02
-        )
+        width_m = np.linalg.norm(passage.line[1] - passage.line[0])
+        assert width_m == pytest.approx(DOOR_M, abs=3 * CELL_M)
+        middle = shapely.Point(passage.line.mean(axis=0))
+        assert min(middle.distance(doorway) for doorway in plan.doorways) < 2 * CELL_M
+    areas_m2 = [room.area_m2 for room in graph.rooms]
+    assert np.diff(areas_m2).max() < 1e-6
+    cells = np.bincount(graph.label[graph.label >= 0])
+    np.testing.assert_allclose(cells * CELL_M**2, areas_m2, rtol=0.02)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 30.0])
@@ -196,32 +189,11 @@ def test_a_row_of_shallow_labs_is_as_many_rooms(angle_deg: float) -> None:
 
 
 def test_bays_and_corridors_that_meet_are_no_rooms() -> None:
-    hall, bays = (
-        shapely.box(0, 0, 12, 6),
-        [shapely.box(x, 6 - 1e-3, x + 2.5, 7.5) for x in (1.0, 5.0, 9.0)],
-    )
-    plan = Plan((shapely.union_all([hall, *bays]),), ())
-    assert_found(find_rooms(draw(plan), SETTINGS), plan)
+    bays = [shapely.box(x, 6 - 1e-3, x + 2.5, 7.5) for x in (1.0, 5.0, 9.0)]
     ways = [shapely.box(0, 8, 20, 10), shapely.box(9, 0, 11, 18), shapely.box(0, 0, 2, 10)]
-    plan = Plan((shapely.union_all(ways),), ())
-    assert_found(find_rooms(draw(plan), SETTINGS), plan)
-
-
-@pytest.mark.parametrize("turn", [np.fliplr, np.transpose], ids=["left", "diagonal"])
-def test_a_mirrored_or_turned_map_has_the_same_rooms(
-    turn: Callable[[np.ndarray], np.ndarray],
-) -> None:
-    grid = draw(booths())
-    here = find_rooms(grid, SETTINGS)
-    there = find_rooms(
-        GridMap(np.ascontiguousarray(turn(grid.cells)), grid.origin, CELL_M), SETTINGS
-    )
-    assert len(here) == len(there)
-    overlap = np.zeros((len(here), len(there)))
-    both = (turn(here.label) >= 0) & (there.label >= 0)
-    np.add.at(overlap, (turn(here.label)[both], there.label[both]), 1)
-    size = np.bincount(here.label[here.label >= 0])
-    np.testing.assert_array_less(0.96 * size, overlap.max(axis=1))
+    for parts in ([shapely.box(0, 0, 12, 6), *bays], ways):
+        plan = Plan((shapely.union_all(parts),), ())
+        assert_found(find_rooms(draw(plan), SETTINGS), plan)
 
 
 def test_detected_doors_part_rooms_whatever_their_width() -> None:
@@ -234,17 +206,15 @@ def test_detected_doors_part_rooms_whatever_their_width() -> None:
     assert graph.rooms[corridor].doors == tuple(range(len(plan.doorways)))
     for door, pair in enumerate(graph.door_rooms):
         assert corridor in pair
-        assert all(
-            graph.rooms[room].polygon.distance(plan.doorways[door]) < 2 * CELL_M for room in pair
-        )
+        for room in pair:
+            assert graph.rooms[room].polygon.distance(plan.doorways[door]) < 2 * CELL_M
 
 
-def test_the_room_beyond_a_closed_door_is_told_as_unknown() -> None:
+def test_the_room_beyond_a_closed_door_is_unknown() -> None:
     plan = office()
-    seen = Plan(plan.rooms[:-1], plan.doorways)
-    graph = find_rooms(draw(seen), SETTINGS, plan.corners)
-    assert len(graph) == len(seen.rooms)
-    assert [pair[1] if pair[0] >= 0 else pair[0] for pair in graph.door_rooms][-1] == -1
+    graph = find_rooms(draw(Plan(plan.rooms[:-1], plan.doorways)), SETTINGS, plan.corners)
+    assert len(graph) == len(plan.rooms) - 1
+    assert min(graph.door_rooms[-1]) == -1
     assert max(graph.door_rooms[-1]) >= 0
 
 
@@ -327,13 +297,8 @@ def test_the_voronoi_graph_keeps_off_the_walls() -> None:
     graph = find_rooms(draw(plan), SETTINGS)
     walls = shapely.union_all([room.boundary for room in plan.rooms])
     free = shapely.union_all([*plan.rooms, *(d.buffer(0.01) for d in plan.doorways)])
+    walls = walls.difference(shapely.union_all(plan.doorways).buffer(0.02))
     middles = shapely.points(graph.skeleton.mean(axis=1))
-    assert len(middles) > 100
+    assert 100 < len(middles) < 0.1 * np.count_nonzero(graph.label >= 0)
     assert shapely.contains(free, middles).all()
-    assert (
-        shapely.distance(
-            middles, walls.difference(shapely.union_all(plan.doorways).buffer(0.02))
-        ).min()
-        > 0.2
-    )
-    assert len(graph.skeleton) < 0.1 * np.count_nonzero(graph.label >= 0)
+    assert shapely.distance(middles, walls).min() > 0.2

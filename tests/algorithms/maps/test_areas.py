@@ -6,7 +6,7 @@ import shapely
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from ffmap.algorithms.maps.areas import closed, grown, largest
+from ffmap.algorithms.maps.areas import closed, grown
 
 THREE_WALLS = (
     [
@@ -28,7 +28,7 @@ THREE_WALLS = (
         [2.94547532037018, 0.7850548879053687],
     ],
 )
-"""A long wall and two fragments beside it, of which GEOS makes a hole outside its shell when they are grown and shrunk."""
+"""A long wall and two fragments: grown and shrunk, GEOS makes a hole outside its shell of them."""
 
 
 def quad(ends: list[list[float]], depth_m: float) -> shapely.Polygon:
@@ -57,8 +57,3 @@ def test_closed_areas_are_valid_and_hold_what_they_are_made_of(
     assert whole.is_valid
     assert area.difference(whole.buffer(1e-3)).area < 1e-6
     assert whole.difference(area.buffer(0.15)).area < 1e-6
-
-
-def test_the_largest_part_is_kept() -> None:
-    parts = shapely.MultiPolygon([shapely.box(0, 0, 1, 1), shapely.box(2, 0, 4, 1)])
-    assert largest(parts).equals(shapely.box(2, 0, 4, 1))

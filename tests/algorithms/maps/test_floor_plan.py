@@ -74,14 +74,6 @@ def depths(doors: Doors, rooms: TwoRooms, through_m: float = np.nan) -> FloatArr
     )
 
 
-def test_doors_of_unknown_depth_tell_nothing_of_others() -> None:
-    rooms = TwoRooms(both_seen=False)
-    known, unknown = replace(rooms.doors, reveal_m=np.array([0.17])), hidden(rooms.doors)
-    three = together(known, unknown, replace(unknown, wall=np.array([0])))
-    np.testing.assert_allclose(depths(three, rooms), 0.17)
-    np.testing.assert_allclose(depths(unknown, rooms), UNKNOWN_M)
-
-
 def test_lintels_tell_how_deep_doorways_are() -> None:
     # The wall's faces were seen minutes apart, with drift between them; a lintel's edges were not.
     rooms = TwoRooms(thickness_m=0.17)
@@ -146,13 +138,6 @@ def test_walls_are_areas_with_the_doorway_cut_out(turn_deg: float) -> None:
     assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(inside).area < 1e-6
     corner = shapely.Point(rooms.to_map(np.array([[-0.1, -0.1]]))[0])
     assert shapely.union_all(plan.assumed).contains(corner)
-
-
-@pytest.mark.parametrize("turn_deg", [0.0, 37.0, -30.0, 44.0, 50.0, 160.0])
-def test_the_plan_knows_how_it_lies_in_the_map(turn_deg: float) -> None:
-    assert plan_of(TwoRooms(turn_deg=turn_deg)).direction_deg == pytest.approx(
-        (turn_deg + 45) % 90 - 45, abs=1e-6
-    )
 
 
 def test_the_main_direction_is_that_of_most_walls_not_the_mean() -> None:

@@ -292,19 +292,6 @@ def test_nothing_gives_an_unknown_map() -> None:
     assert (empty.cells == Cell.UNKNOWN).all()
 
 
-def test_hidden_faces_need_no_space() -> None:
-    rooms = TwoRooms()
-    grid = draw(*with_face(rooms, [[1.0, 30.0], [2.0, 30.0]], [0.0, -1.0]))
-    plain = draw(*rooms.build())
-    np.testing.assert_allclose(grid.origin, plain.origin)
-    rows, columns = plain.cells.shape
-    np.testing.assert_array_equal(grid.cells[:rows, :columns], plain.cells)
-    known = np.argwhere(grid.cells != Cell.UNKNOWN)
-    margin = round(1.0 / SETTINGS.cell_m)
-    np.testing.assert_array_equal(known.min(axis=0), margin)
-    np.testing.assert_allclose(np.array(grid.cells.shape) - 1 - known.max(axis=0), margin, atol=1)
-
-
 def test_maps_that_are_drawn_together_are_as_if_each_were_alone() -> None:
     rooms = TwoRooms(glass=(0.9, 2.1), both_seen=False, turn_deg=17.0)
     _, drive = rooms.build(windows=rooms.window)

@@ -9,15 +9,6 @@ from ffmap.algorithms.poses.motion import compensate, extrapolate, may_change
 PERIOD_NS = 100_000_000
 
 
-def test_more_may_change_in_more_time() -> None:
-    usual, second = may_change(PERIOD_NS), may_change(11 * PERIOD_NS)
-    np.testing.assert_allclose(usual, [6.0, 0.15])
-    np.testing.assert_allclose(second, [96.0, 2.15])
-    quarter = transforms.from_yaw(np.pi / 2, [0.0, 0.0, 0.0])
-    assert usual.share_between(np.eye(4), quarter) == pytest.approx(15.0)
-    assert second.share_between(np.eye(4), quarter) < 1.0
-
-
 @pytest.mark.parametrize(
     ("turn_deg", "way_m", "jumps"), [(5, 0, False), (-5, 0.1, False), (7, 0, True), (0, 0.2, True)]
 )

@@ -8,7 +8,6 @@ from ffmap.algorithms.scan.ceiling import find_ceilings
 from ffmap.algorithms.scan.floor import Floor, find_floor
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, RearrangementSettings
 from tests.algorithms.scan.test_floor import FOOT, ground
-from tests.corridor import labelled
 
 SETTINGS = RearrangementSettings()
 LEVEL = Floor(0.0, np.zeros(2), 0)
@@ -29,12 +28,6 @@ def test_a_ceiling_over_a_ramp_may_slope_with_it_or_be_level(slope: float) -> No
     (ceiling,) = found_above(points, Floor(0.0, np.array([0.08, 0.0]), 0))
     assert ceiling.height_m == pytest.approx(2.8, abs=0.01)
     np.testing.assert_allclose(ceiling.slope, [slope, 0.0], atol=0.005)
-
-
-def test_ceiling_is_independent_of_the_seed() -> None:
-    _, placed, _, _ = labelled()
-    found = [found_above(placed.points_level, seed=seed)[0].height_m for seed in range(5)]
-    assert np.ptp(found) < 0.005
 
 
 def test_a_duct_below_the_ceiling_is_no_ceiling_and_a_lower_room_has_one() -> None:

@@ -74,14 +74,6 @@ def test_a_closed_door_and_an_open_one_are_found(depth: float | None, state: Doo
         assert share(found.label, truth, Label.DOOR)[1] > 0.9
 
 
-def test_labels_do_not_depend_on_the_order_of_the_returns() -> None:
-    scan, placed, _ = swept(Hole())
-    found = labelled(scan, placed)
-    rows = np.random.default_rng(0).permutation(len(scan))
-    shuffled = replace(placed, points_level=placed.points_level[rows])
-    assert np.mean(labelled(subset(scan, rows), shuffled).label == found.label[rows]) > 0.99
-
-
 @pytest.mark.parametrize("count", [0, 1, 30])
 def test_few_returns_make_no_line_and_no_error(count: int) -> None:
     scan, placed, _ = swept()

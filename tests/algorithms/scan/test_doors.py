@@ -1,7 +1,7 @@
 """The paper's three door conditions: inputs in which exactly one fails, and in which all hold."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -17,10 +17,9 @@ from ffmap.algorithms.scan.doors import (
     find_door_lines,
     find_openings,
 )
-from ffmap.algorithms.scan.point_lines import PointLines, make_point_lines
+from ffmap.algorithms.scan.point_lines import make_point_lines
 from ffmap.algorithms.scan.rearrangement import HorizontalPlane, Returns
 from ffmap.algorithms.scan.vertical_structures import (
-    VerticalStructures,
     VerticalStructuresSettings,
     find_vertical_structures,
 )
@@ -55,9 +54,6 @@ def door(depth_m: float, head_m: float = HEAD_M) -> Profile:
 class Seen:
     """A wall y = 2 seen in upright lines, one at each x, and what the method made of it."""
 
-    points: np.ndarray
-    lines: PointLines
-    structures: VerticalStructures
     planes: WallPlanes
     door_lines: DoorLines
     openings: Openings
@@ -104,7 +100,7 @@ def look(
     openings = find_openings(door_lines, planes, settings)
     used = np.flatnonzero(np.diff(lines.starts)).tolist()
     line_at = dict(zip(xs, used, strict=True))
-    return Seen(points, lines, structures, planes, door_lines, openings, line_at)
+    return Seen(planes, door_lines, openings, line_at)
 
 
 def with_door(
@@ -137,9 +133,6 @@ def test_where_all_conditions_hold_there_is_one_opening(depth_m: float, state: D
     assert set(found.state[rows].tolist()) == {state}
     # It begins at the lintel's lowest return, give or take one.
     np.testing.assert_allclose(found.start_height_m[rows], HEAD_M, atol=0.031)
-    for row in rows:
-        first, after = seen.lines.starts[found.line[row] : found.line[row] + 2]
-        assert found.start_height_m[row] in seen.points[seen.lines.order[first:after], 2]
     if state == DoorState.CLOSED:
         np.testing.assert_allclose(found.depth_m[rows], depth_m, atol=0.003)
     else:  # each return counts half a metre at most, and the floor's near the wall less
@@ -165,17 +158,6 @@ def test_condition_1_fails_where_the_line_belongs_to_no_wall_plane() -> None:
 
     seen = with_door(behind_a_duct)
     assert len(seen.rows(DOOR_X_M)) == len(seen.openings) == 0
-    # With these lines on the wall, the other conditions hold for them.
-    planes, upmost = seen.planes, seen.structures.upmost
-    of_door = np.isin(planes.candidate_line, [seen.line_at[x] for x in DOOR_X_M])
-    of_door &= upmost[planes.candidate_line] == planes.candidate_structure
-    assert planes.candidate_plane[of_door].tolist() == [-1] * 4
-    plane = np.where(of_door, 0, planes.candidate_plane).astype(np.int32)
-    claimed = replace(planes, candidate_plane=plane)
-    returns = Returns(seen.points, seen.points[:, 2], ORIGIN)
-    lines = find_door_lines(returns, seen.lines, claimed, upmost, DOORS)
-    assert set(lines.line[lines.above_door].tolist()) == {seen.line_at[x] for x in DOOR_X_M}
-    assert len(find_openings(lines, claimed, DOORS)) == 1
 
 
 def shelf_in_a_niche(z: np.ndarray) -> np.ndarray:
@@ -194,18 +176,18 @@ def window(z: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("profile", "depression", "forgiving"),
+    ("profile", "depression", "recess_min_m"),
     [
         (bare, Depression.NONE, None),
-        (door(0.01), Depression.NONE, {"recess_min_m": 0.005}),
-        (bulge_above, Depression.SHALLOW, {"recess_min_m": 0.01}),
+        (door(0.01), Depression.NONE, 0.005),
+        (bulge_above, Depression.SHALLOW, 0.01),
         (shelf_in_a_niche, Depression.EXCEPTIONS, None),
         (window, None, None),
     ],
     ids=["bare", "too shallow", "below a bulge", "some returns on the plane", "window"],
 )
 def test_condition_2_fails_where_not_all_below_is_behind(
-    profile: Profile, depression: Depression | None, forgiving: dict[str, float] | None
+    profile: Profile, depression: Depression | None, recess_min_m: float | None
 ) -> None:
     seen = with_door(profile)
     rows, found = seen.rows(DOOR_X_M), seen.door_lines
@@ -223,8 +205,8 @@ def test_condition_2_fails_where_not_all_below_is_behind(
         assert np.all(found.on_plane_share[rows] > EXCEPTIONS_MAX)
     if depression == Depression.SHALLOW:
         assert np.all(-found.below_m[rows] < DOORS.recess_min_m)
-    if forgiving is not None:  # no other condition failed
-        relaxed = with_door(profile, DOORS.model_copy(update=forgiving))
+    if recess_min_m is not None:  # no other condition failed
+        relaxed = with_door(profile, DoorsSettings(recess_min_m=recess_min_m))
         assert np.all(relaxed.door_lines.above_door[relaxed.rows(DOOR_X_M)])
         assert len(relaxed.openings) == 1
 

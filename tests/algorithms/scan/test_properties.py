@@ -159,28 +159,6 @@ class TestHorizontalPlanes:
         check()
         assert min(found[0], found[1], found[2] + found[3]) > 1, found  # none, one and several
 
-    @settings(seeded, max_examples=40)
-    @given(
-        steepness=reals(0.0, 0.06),
-        towards_rad=reals(-3.1, 3.1),
-        bound=st.sampled_from([0.0, 0.03, 0.09]),
-        seed=SEEDS,
-    )
-    @example(0.06, 0.5, 0.03, 0)
-    @example(0.06, 0.5, 0.0, 0)
-    def test_the_slope_of_a_floor_is_found_up_to_its_bound(
-        self, steepness: float, towards_rad: float, bound: float, seed: int
-    ) -> None:
-        generator = np.random.default_rng(seed)
-        slope = steepness * np.array([np.cos(towards_rad), np.sin(towards_rad)])
-        cloud = generator.uniform(-3, 3, (6000, 3))
-        cloud[:, 2] = cloud[:, :2] @ slope + generator.normal(0, 0.005, 6000)
-        bounded = REARRANGEMENT.model_copy(update={"floor_slope_max": bound})
-        floor = find_floor(cloud.astype(np.float32), bounded)
-        expected = slope * min(1.0, bound / max(steepness, 1e-12))
-        np.testing.assert_allclose(floor.slope, expected, atol=0.002)
-        assert np.hypot(*floor.slope) <= bound + 1e-9
-
 
 ROOM = synthetic.scan(firings=700)
 

@@ -128,26 +128,6 @@ def test_the_slope_is_the_lines_own_and_decides_what_is_upright(lean: float) -> 
     assert extents(found) == ([(0, 0, SAMPLES - 1)] if abs(lean) < SETTINGS.slope_max else [])
 
 
-def test_nine_samples_are_none_and_ten_are_a_structure() -> None:
-    parts = [upright(2.0, 0.1, 9), upright(2.5, 0.3, 10), upright(3.0, 0.6, 11)]
-    line = np.concatenate([*parts, flat(3.5, 0.9, SAMPLES - 30)])
-    found = find_in([line])
-    assert extents(found) == [(0, 9, 18), (0, 19, 29)]
-    assert found.upright[0].tolist() == [True] * 30 + [False] * (SAMPLES - 30)
-    np.testing.assert_allclose(found.bottom_m, [0.3, 0.6], atol=1e-6)
-    np.testing.assert_allclose(found.top_m, [0.48, 0.8], atol=1e-6)
-    fewer = find_in([line], SETTINGS.model_copy(update={"points_min": 9}))
-    assert extents(fewer) == [(0, 0, 8), (0, 9, 18), (0, 19, 29)]
-
-
-@pytest.mark.parametrize(("step_m", "parts"), [(0.1, 1), (0.14, 2)])
-def test_a_step_back_ends_a_structure(step_m: float, parts: int) -> None:
-    line = np.concatenate([upright(2.0, 0.0, 100), upright(2.0 + step_m, 2.0, 100)])
-    found = find_in([line], SETTINGS.model_copy(update={"slope_max": 3.0}))
-    assert len(found.line) == parts
-    assert (found.first[0], found.last[-1]) == (0, SAMPLES - 1)
-
-
 def test_the_upmost_is_the_wall_and_the_bottommost_the_cabinet_before_it() -> None:
     above = upright(2.0, 0.82, SAMPLES - 75)
     cabinet = np.concatenate([upright(1.2, 0.1, 36), flat(1.22, 0.8, 39), above])
@@ -188,12 +168,3 @@ def test_a_line_without_samples_has_nothing_and_does_not_affect_others() -> None
     assert not np.any(found.upright[[0, 2]])
     assert found.upmost.tolist() == found.bottommost.tolist() == [-1, 0, -1, 1]
     assert extents(found) == [(1, 0, SAMPLES - 1), (3, 0, SAMPLES - 1)]
-
-
-@pytest.mark.parametrize("count", [0, 3])
-def test_no_lines_and_absent_lines_have_no_structures(count: int) -> None:
-    found = find(np.zeros((0, 3), np.float32), np.full((count, SAMPLES), -1, np.int32))
-    assert found.difference.shape == found.slope.shape == found.upright.shape == (count, SAMPLES)
-    assert np.all(np.isnan(found.difference))
-    assert extents(found) == []
-    assert found.upmost.tolist() == found.bottommost.tolist() == [-1] * count

@@ -99,32 +99,6 @@ def grow(
     return grow_wall_planes(returns, samples, structures, ceilings, meets_ceiling, settings)
 
 
-def literal(candidates: np.ndarray) -> list[list[int]]:
-    """Algorithm 1 as printed, on the candidates' upper parts; Ω and Θ by singular values."""
-    points = samples_of(candidates, np.array([SPAN_M] * len(candidates)))
-    upper = [p[p[:, 2] > p[-1, 2] - UPPER_PART_M, :2] for p in points]
-
-    def omega(members: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        xy = np.concatenate([upper[m] for m in members])
-        return np.linalg.svd(xy - xy.mean(axis=0), full_matrices=False)[2][1], xy.mean(axis=0)
-
-    W: list[list[int]] = []
-    P: list[int] = []
-    C: tuple[np.ndarray, np.ndarray] | None = None
-    for i in range(len(candidates)):
-        if not P:
-            P = [i]
-        elif C is None:
-            C = omega(P)  # and candidate i is dropped
-        elif np.sqrt(np.mean(((upper[i] - C[1]) @ C[0]) ** 2)) < SETTINGS.similarity_m:
-            P.append(i)
-            C = omega(P)
-        else:
-            W.append(P)  # and candidate i is dropped
-            P, C = [], None
-    return W  # and the current plane is dropped
-
-
 def test_candidates_in_order_grow_one_plane() -> None:
     found = grow(STRAIGHT)
     assert found.candidate_growth.tolist() == [SEEDED] + [JOINED] * 11
@@ -188,18 +162,6 @@ def test_a_coplanar_candidate_too_far_along_the_wall_breaks_the_plane() -> None:
     joined = grow(np.concatenate([apart[:6] + np.array([1.0, 0.0]), apart[6:]]))
     assert joined.candidate_growth.tolist() == found.candidate_growth.tolist()
     assert joined.candidate_plane.tolist() == [0] * 12
-
-
-def test_as_printed_a_corner_loses_three_kinds_of_lines_and_the_repair_none() -> None:
-    # The line after the seed (1), the line that breaks the plane (8), and all of the last plane.
-    assert literal(CORNER) == [[0, 2, 3, 4, 5, 6, 7]]
-    assert literal(STRAIGHT) == []
-    found = grow(CORNER)
-    assert found.candidate_growth.tolist() == [SEEDED] + [JOINED] * 7 + [BROKE] + [JOINED] * 7
-    assert found.candidate_plane.tolist() == [0] * 8 + [1] * 8
-    np.testing.assert_allclose(found.normal, [[0, -1], [-1, 0]], atol=1e-4)
-    np.testing.assert_allclose(found.offset_m, [-2, -1.4], atol=1e-4)
-    assert found.line_count.tolist() == [8, 8]
 
 
 @pytest.mark.parametrize(("apart_m", "growth"), [(0.08, JOINED), (0.3, BROKE)])
@@ -295,28 +257,6 @@ def test_the_evidence_shows_why_each_candidate_is_in_no_plane() -> None:
     assert short.candidate_membership.tolist() == [Membership.SHORT] * 4
     high = grow(STRAIGHT, spans=[(0.1, CEILING_M + 0.9)] * 12)
     assert set(high.candidate_reach.tolist()) == {Reach.ABOVE_CEILINGS}
-
-
-def grow_profile(corners: list[tuple[float, float]], upright: list[int]) -> WallPlanes:
-    """Planes from twelve lines of one profile.
-
-    corners: (y, z) from below upwards. upright: which of its segments are structures.
-    """
-    y, z = np.array(corners).T
-    place = np.linspace(0, len(y) - 1, SAMPLES)
-    segment = np.minimum(place.astype(int), len(y) - 2)
-    line = np.column_stack([np.interp(place, np.arange(len(y)), own) for own in (y, z)])
-    xs = np.linspace(-0.8, 0.8, 12)
-    points = np.concatenate([np.column_stack([np.full(SAMPLES, x), line]) for x in xs])
-    own = [np.flatnonzero(segment == s)[[0, -1]] for s in upright]
-    first, last = np.tile(np.array(own).T, 12)
-    heights_m = np.tile(np.column_stack([z[upright], z[np.array(upright) + 1]]), (12, 1))
-    owner = np.repeat(2 * np.arange(12), len(upright))
-    samples = np.arange(12 * SAMPLES, dtype=np.int32).reshape(12, SAMPLES).repeat(2, axis=0)
-    structures = structures_of(24, owner, first, last, heights_m)
-    returns = Returns(points.astype(np.float32), points[:, 2].astype(np.float32), ORIGIN)
-    meets_ceiling = np.ones(24, bool)
-    return grow_wall_planes(returns, samples, structures, (CEILING,), meets_ceiling, SETTINGS)
 
 
 @pytest.mark.parametrize("yaw_rad", [np.pi / 2, 2.5])

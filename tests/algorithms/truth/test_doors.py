@@ -40,37 +40,25 @@ def near(point: tuple[float, ...], origin: tuple[float, ...], true: TrueDoors) -
 
 
 @pytest.mark.parametrize(
-    ("point", "expected"),
+    ("point", "leaf", "expected"),
     [
-        ((0.45, 0.29, 1.0), 1),  # beside a jamb
-        ((0.45, 0.31, 1.0), 0),
-        ((0.45 + 0.2, 0.2, 1.0), 1),  # 0.28 m from it, aslant
-        ((0.45 + 0.22, 0.22, 1.0), 0),  # 0.31 m
-        ((0.0, 0.0, 2.29), 1),  # above the lintel's underside
-        ((0.0, 0.0, 2.31), 0),
-        ((0.0, 0.0, 1.71), 1),  # below it
-        ((0.0, 0.0, 1.0), 0),  # in the middle of the opening
-        ((0.0, 0.0, -0.1), 0),
+        ((0.45, 0.29, 1.0), False, 1),  # beside a jamb
+        ((0.45, 0.31, 1.0), False, 0),
+        ((0.45 + 0.22, 0.22, 1.0), False, 0),  # 0.31 m from it, aslant
+        ((0.0, 0.0, 2.29), False, 1),  # above the lintel's underside
+        ((0.0, 0.0, 2.31), False, 0),
+        ((0.0, 0.0, 1.0), False, 0),  # in the middle of the opening
+        ((0.0, 0.29, 1.0), True, 1),  # before the leaf
+        ((0.0, 0.31, 1.0), True, 0),
     ],
 )
-def test_returns_near_the_frame(point: tuple[float, ...], expected: int) -> None:
-    assert near(point, (0.0, -2.0, 1.0), doors((0, 0))) == [expected]
-
-
-def test_returns_near_the_leaf() -> None:
-    closed = doors((0, 0), leaf=True)
-    assert near((0.0, 0.29, 1.0), (0, -2, 1), closed) == [1]
-    assert near((0.0, 0.31, 1.0), (0, -2, 1), closed) == [0]
-    leaf = np.array([[[-0.45, 0.0], [-0.45, 0.9]]])
-    ajar = TrueDoors(closed.ends, closed.head_m, (leaf,), np.ones(1, np.uint8))
-    assert near((-0.2, 0.9, 1.0), (0, -2, 1), ajar) == [1]
-    assert near((-0.1, 0.9, 1.0), (0, -2, 1), ajar) == [0]
+def test_returns_near_frame_and_leaf(point: tuple[float, ...], leaf: bool, expected: int) -> None:
+    assert near(point, (0.0, -2.0, 1.0), doors((0, 0), leaf=leaf)) == [expected]
 
 
 def test_returns_count_from_within_six_metres_once_for_each_door() -> None:
     assert near((0.45, 0.0, 1.0), (0.45, -5.99, 1.0), doors((0, 0))) == [1]
     assert near((0.45, 0.0, 1.0), (0.45, -6.01, 1.0), doors((0, 0))) == [0]
-    assert near((0.45, 0.0, 2.0), (0.45, -5.99, 1.0), doors((0, 0))) == [0]
     assert near((0.5, 0.0, 1.0), (0.5, -1.0, 1.0), doors((0, 0), (1.0, 0), leaf=True)) == [1, 1]
     assert compare(doors((0, 0), (5, 0)), returns=(200, 199)).passed.tolist() == [True, False]
 
@@ -83,10 +71,8 @@ def test_returns_count_from_within_six_metres_once_for_each_door() -> None:
         (((0, 0),), ((0.301, 0),), 0.0, [-1]),
         (((0, 0),), ((0, 0),), 14.9, [0]),
         (((0, 0),), ((0, 0),), 15.1, [-1]),
-        (((0, 0),), ((0, 0),), 180.0, [0]),
         # The second detection is nearest to the first door; the first takes the other one.
         (((0, 0), (0.2, 0)), ((0.15, 0), (0.01, 0)), 0.0, [1, 0]),
-        (((0, 0),), ((0.1, 0), (0.05, 0)), 0.0, [1]),
         (((0, 0),), (), 0.0, [-1]),
         ((), ((0, 0),), 0.0, []),
     ],
@@ -103,11 +89,3 @@ def test_width_and_state_of_doors_that_were_passed_and_found() -> None:
     np.testing.assert_allclose(compared.width_error_m, [0.05])
     assert compared.state_right.tolist() == [False]
     assert (compared.match.tolist(), compared.detections) == ([0, 1, -1], 2)
-
-
-def test_the_order_of_detections_does_not_matter() -> None:
-    generator = np.random.default_rng(3)
-    true = doors(*[(float(x), 0.0) for x in range(8)])
-    midpoints = [(float(x + generator.uniform(-0.2, 0.2)), 0.0) for x in range(8)]
-    forward, backward = compare(true, *midpoints), compare(true, *midpoints[::-1])
-    assert forward.match.tolist() == [7 - m for m in backward.match.tolist()]

@@ -38,12 +38,6 @@ def test_the_mean_recall_is_over_rooms_that_the_robot_entered() -> None:
     assert np.isnan(compare_rooms([LEFT], [], np.zeros((0, 3))).mean_recall)
 
 
-def test_nothing_found_has_no_recall_and_no_precision() -> None:
-    figures = compare_rooms([LEFT], [])
-    assert figures.mean_recall == 0.0
-    assert np.isnan(figures.mean_precision)
-
-
 def test_true_rooms_are_four_connected_and_not_tiny() -> None:
     pixels = np.zeros((40, 60), np.uint8)
     pixels[5:25, 5:25] = 255

@@ -33,14 +33,6 @@ def test_a_voxel_has_the_majority_of_its_points_and_of_equals_the_lower_code() -
     np.testing.assert_array_equal(tally.confusion_points[0], by_points)
 
 
-def test_voxels_are_five_centimetres_from_the_origin_on() -> None:
-    tally = Tally(NO_DOORS)
-    points = np.array([[0.001, 0, 0], [0.049, 0, 0], [0.051, 0, 0], [-0.001, 0, 0]])
-    wall = np.full(4, 3, np.uint8)
-    tally.add(points, ORIGIN, wall, wall, wall)
-    assert confusion_by_area(tally.voxels())[Truth.WALL, Label.WALL] == 3
-
-
 def test_labels_of_single_scans_are_counted_apart() -> None:
     tally = Tally(NO_DOORS)
     truth, label_scan = np.full(3, 3, np.uint8), np.array([0, 0, 3], np.uint8)
