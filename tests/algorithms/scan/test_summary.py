@@ -42,7 +42,7 @@ def test_the_floor_has_its_height_at_every_place_of_the_map(floor: Floor) -> Non
 def test_planes_and_their_moments_are_moved_to_the_map() -> None:
     placed, labelling = labelled()
     features = extract(0, replace(placed, T_map_level=T_MAP_LEVEL), labelling)
-    assert len(features.plane_normal) == 4
+    assert len(features.plane_normal) == 2
     for ends, normal in zip(features.plane_ends_map, features.plane_normal, strict=True):
         offset_m = (ends - features.origin_map[0, :2]) @ normal
         assert offset_m[0] == pytest.approx(offset_m[1])
