@@ -78,7 +78,5 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Ma
         Segmented.NORMAL: find_rooms(normal, settings.area_graph, path_map=path_map),
         Segmented.NORMAL_AS_IS: find_rooms(normal, as_is, path_map=path_map),
     }
-    plan = draw_floor_plan(
-        standing, immobile, grid, scans.storey, settings.wall_thickness, rooms.rooms
-    )
+    plan = draw_floor_plan(standing, immobile, grid, settings.wall_thickness, rooms.rooms)
     return Maps(grid, rooms, rivals, compared_rooms, plan)

@@ -1,4 +1,4 @@
-"""The building as a vector plan: walls with thickness, doors with leaves, windows, columns."""
+"""The building as a vector plan: walls with thickness, doors, windows, columns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,10 +10,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
-from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.base.segments import Segment, lengths_m, main_direction_deg, turned
-from ffmap.algorithms.building.face_columns import Storey
+from ffmap.algorithms.base.segments import lengths_m, main_direction_deg, moved
 from ffmap.algorithms.building.model import Doors, Walls
 from ffmap.algorithms.building.thickness import (
     WallParts,
@@ -22,7 +20,6 @@ from ffmap.algorithms.building.thickness import (
     part_walls,
     usual_thickness,
 )
-from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.area_graph import Room
 from ffmap.algorithms.maps.areas import closed, grown
 from ffmap.algorithms.maps.furniture_free import Immobile
@@ -43,36 +40,6 @@ _TIDY_M = 0.02
 """Half the width (m) of gaps between walls that are closed."""
 _SLIVER_M2 = 0.004
 """Minimum area (m²) of a piece of wall."""
-_DOUBLE_DOOR_M = 1.25
-"""Maximum width (m) of a doorway with one leaf."""
-_LEAF_SHARE_MIN = 0.6
-"""Minimum share of an open leaf's area that is seen for its door to get a swing."""
-_LEAF_M = (0.4, 1.8)
-"""Heights above the floor (m) between which leaves are detected."""
-_LEAF_ANGLES_DEG = np.arange(20.0, 180.0, 5.0)
-"""Angles of an open leaf to its sill that are examined."""
-_LEAF_THICKNESS_M = 0.05
-"""Maximum distance (m) of a leaf's returns from its middle."""
-_LEAF_CELL_M = 0.1
-"""Edge (m) of the cells of a leaf whose returns are counted."""
-_HINGE_M = 0.15
-"""Distance (m) from the hinge within which returns do not indicate a leaf."""
-_WALL_MARGIN_M = 0.1
-"""Distance (m) from the wall's face within which returns may belong to the wall."""
-
-
-@dataclass(frozen=True)
-class Leaf:
-    """An open leaf.
-
-    hinge, tip: (2,) in the map. swing_deg: signed angle from closed to where it was seen. share:
-    of its area that was seen.
-    """
-
-    hinge: FloatArray
-    tip: FloatArray
-    swing_deg: float
-    share: float
 
 
 @dataclass(frozen=True)
@@ -80,14 +47,13 @@ class PlanDoor:
     """A door on the plan.
 
     outline: what the doorway cuts out of the wall. sill: (2, 2) jambs, on the face in which the
-    door was seen. closed: (2, 2) a closed leaf. leaves: open leaves; none if the swing is unknown.
+    door was seen. closed: (2, 2) where the leaf is, or would be, closed.
     """
 
     outline: shapely.Polygon
     sill: FloatArray
     closed: FloatArray
     state: DoorState
-    leaves: tuple[Leaf, ...]
 
 
 @dataclass(frozen=True)
@@ -112,14 +78,13 @@ def draw_floor_plan(
     standing: Walls,
     immobile: Immobile,
     grid: GridMap,
-    storey: Storey,
     thickness: WallThicknessSettings,
     rooms: Sequence[Room] = (),
 ) -> FloorPlan:
     """Draw the plan of a building.
 
     standing: see `standing_stretches`. grid: the furniture-free grid; what it does not show is not
-    drawn. storey: the floor of the open leaves.
+    drawn.
     """
     stretches = standing.select(_shown(standing, grid))
     doors = immobile.doors
@@ -139,15 +104,9 @@ def draw_floor_plan(
         _bodies(stretches, parts, assumed_m, in_wall & chosen).difference(cuts)
         for chosen in (measured, ~measured)
     )
-    upright = _upright(immobile.votes, storey)
-    plan_doors = []
-    for d, outline in enumerate(outlines):
-        sill = Segment.between(doors.ends[d], doors.normal[d])
-        state = DoorState(int(doors.state[d]))
-        is_open = state == DoorState.OPEN
-        leaves = _find_leaves(sill, float(doors.reveal_m[d]), upright) if is_open else ()
-        shut = doors.ends[d] - np.nan_to_num(doors.depth_m[d]) * sill.normal
-        plan_doors.append(PlanDoor(outline, doors.ends[d], shut, state, leaves))
+    closed_leaves = moved(doors.ends, doors.normal, -np.nan_to_num(doors.depth_m))
+    states = [DoorState(state) for state in doors.state.tolist()]
+    plan_doors = map(PlanDoor, outlines, doors.ends, closed_leaves, states)
     return FloorPlan(
         walls=_pieces(walls),
         assumed=_pieces(assumed.difference(walls)),
@@ -271,60 +230,6 @@ def _groups(stretches: Walls, apart_m: float) -> IntArray:
     pairs = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=apart_m)
     graph = csr_array((np.ones(pairs.shape[1]), pairs), (len(lines), len(lines)))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
-
-
-def _upright(votes: VoxelVotes, storey: Storey) -> FloatArray:
-    """(n, 3) x, y and height above the floor of voxels that may belong to leaves."""
-    label = votes.label
-    places = votes.mean_position[(label != Label.FLOOR) & (label != Label.CEILING)]
-    height_m = places[:, 2] - storey.ground_m(places[:, :2])
-    between = (height_m > _LEAF_M[0]) & (height_m < _LEAF_M[1])
-    return np.column_stack([places[between, :2], height_m[between]])
-
-
-def _find_leaves(sill: Segment, depth_m: float, upright: FloatArray) -> tuple[Leaf, ...]:
-    """Detect the leaves of an open door: upright surfaces at a jamb, as long as the door is wide.
-
-    Examines every angle at every jamb to both sides. A double door has a leaf at either jamb at
-    most, a single door one leaf.
-    """
-    width_m = sill.length_m
-    double = width_m > _DOUBLE_DOOR_M
-    length_m = width_m / 2 if double else width_m
-    middle = sill.at(np.array([width_m / 2]))
-    near = np.linalg.norm(upright[:, :2] - middle, axis=1) < 1.5 * width_m + depth_m
-    points = upright[near]
-    found: list[Leaf] = []
-    for jamb, towards in ((0.0, sill.along), (width_m, -sill.along)):
-        # Turning towards the front is counter-clockwise at one jamb and clockwise at the other.
-        front = float(np.sign(towards[0] * sill.normal[1] - towards[1] * sill.normal[0]))
-        candidates = []
-        for side_m, turn in ((0.0, front), (depth_m, -front)):
-            hinge = sill.start + jamb * sill.along - side_m * sill.normal
-            for swing in turn * _LEAF_ANGLES_DEG:
-                along = turned(towards, swing)
-                # From here on a leaf is clear of the wall's own returns.
-                off = abs(float(along @ sill.normal))
-                start_m = max(_WALL_MARGIN_M / max(off, 1e-9), _HINGE_M)
-                if start_m <= 0.5 * length_m:
-                    share = _covered(points - np.append(hinge, 0.0), along, start_m, length_m)
-                    candidates.append(Leaf(hinge, hinge + length_m * along, float(swing), share))
-        best = max(candidates, key=lambda leaf: leaf.share, default=None)
-        if best is not None and best.share >= _LEAF_SHARE_MIN:
-            found.append(best)
-    return tuple(found if double else sorted(found, key=lambda leaf: -leaf.share)[:1])
-
-
-def _covered(points: FloatArray, along: FloatArray, start_m: float, length_m: float) -> float:
-    """Share of a leaf's cells, between two distances from its hinge, that hold points (n, 3)."""
-    place_m = points[:, :2] @ along
-    across_m = np.abs(points[:, 0] * along[1] - points[:, 1] * along[0])
-    on = (across_m < _LEAF_THICKNESS_M) & (place_m > start_m) & (place_m < length_m)
-    columns = max(int((length_m - start_m) / _LEAF_CELL_M), 1)
-    rows = int((_LEAF_M[1] - _LEAF_M[0]) / _LEAF_CELL_M)
-    column = np.minimum(((place_m[on] - start_m) / _LEAF_CELL_M).astype(int), columns - 1)
-    row = np.minimum(((points[on, 2] - _LEAF_M[0]) / _LEAF_CELL_M).astype(int), rows - 1)
-    return len(np.unique(column * rows + row)) / (columns * rows)
 
 
 def _behind(ends: FloatArray, normal: FloatArray, depth_m: float) -> shapely.Polygon:

@@ -135,7 +135,9 @@ def coarsened(grid: GridMap, cells_max: int) -> GridMap:
     """
     part = grid.cropped(*window(grid.cells == Cell.FREE, 10))
     factor = int(np.ceil(np.sqrt(part.cells.size / cells_max)))
-    kinds = np.array([Cell.UNKNOWN, Cell.FREE, Cell.OCCUPIED], np.uint8)
-    rank = np.argsort(kinds).astype(np.uint8)[np.searchsorted(np.sort(kinds), part.cells)]
-    highest = block_reduce(rank, factor, np.max)  # type: ignore[no-untyped-call]
-    return GridMap(kinds[highest], part.origin, part.cell_m * factor)
+    occupied, free = (
+        block_reduce(part.cells == cell, factor, np.any)  # type: ignore[no-untyped-call]
+        for cell in (Cell.OCCUPIED, Cell.FREE)
+    )
+    cells = np.select([occupied, free], [Cell.OCCUPIED, Cell.FREE], Cell.UNKNOWN).astype(np.uint8)
+    return GridMap(cells, part.origin, part.cell_m * factor)

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.segments import lengths_m
 
 _REACH_M = 8.0
 """Maximum width (m) of a mouth."""
@@ -88,7 +89,7 @@ def join_open_areas(
     size = np.bincount(label.ravel()).astype(np.float64)
     width = np.zeros(len(size), np.float32)
     np.maximum.at(width, label.ravel(), 2 * distance.ravel())
-    length = _lengths(mouths)
+    length = lengths_m(mouths)
     sides = np.array([_sides(line, label) for line in mouths], np.int64).reshape(-1, 2)
     number = np.arange(len(size), dtype=np.int32)
     while True:
@@ -115,10 +116,6 @@ def near_wall(walls: BoolArray, row: int, column: int) -> bool:
     return bool(walls[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].any())
 
 
-def _lengths(lines: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1))
-
-
 def _candidates(free: BoolArray, cell_m: float) -> list[tuple[FloatArray, bool]]:
     """Lines over free cells, and whether a wall is in line: those first, then the shortest."""
     corner, before, after, edges = _corners(free, _CORNER_M / cell_m)
@@ -132,7 +129,7 @@ def _candidates(free: BoolArray, cell_m: float) -> list[tuple[FloatArray, bool]]
     across = _straight_across(corner, edges, reach)
     lines = np.concatenate([facing, across])
     in_line = np.concatenate([in_line, np.zeros(len(across), bool)])
-    length = _lengths(lines)
+    length = lengths_m(lines)
     share = np.linspace(0.1, 0.9, 17)[:, None]
     between = lines[:, :1] + share * (lines[:, 1:] - lines[:, :1])
     chosen = np.flatnonzero((length > 3) & _at(free, between).all(axis=1))
@@ -162,7 +159,7 @@ def _corners(
 
 def _is_in_line(before: FloatArray, after: FloatArray, lines: FloatArray) -> BoolArray:
     """Whether a wall before or after the corner at each line's start continues the line."""
-    length = np.maximum(_lengths(lines), 1e-9)
+    length = np.maximum(lengths_m(lines), 1e-9)
     along = (lines[:, 1] - lines[:, 0]) / length[:, None]
     found = np.zeros(len(lines), bool)
     for wall in (before, after):

@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
-from ffmap.algorithms.base.segments import Faces, Segment
+from ffmap.algorithms.base.segments import Faces, Segment, segments
 from ffmap.algorithms.maps.areas import largest
 from ffmap.algorithms.maps.grid import GridMap
 
@@ -68,16 +68,12 @@ def lay_on_faces(
     faces: walls, sills of doors and windows; normals point into the rooms. cell_m: edge of the
     cells of the outlines.
     """
-    segments = [
-        Segment.between(ends, normal)
-        for kind in faces
-        for ends, normal in zip(kind.ends, kind.normal, strict=True)
-    ]
+    sides = [side for kind in faces for side in segments(kind)]
     ends = np.concatenate([np.zeros((0, 2, 2)), *(kind.ends for kind in faces)])
     tree = shapely.STRtree(shapely.linestrings(ends))
     laid: list[shapely.Polygon] = []
     for outline in outlines:
-        own = _laid(outline, segments, tree, cell_m) if segments else outline
+        own = _laid(outline, sides, tree, cell_m) if sides else outline
         others = [other for other in laid if other.intersects(own)]
         taken = shapely.union_all(others, grid_size=_PRECISION_M)
         laid.append(largest(shapely.difference(own, taken, grid_size=_PRECISION_M)))
@@ -85,11 +81,11 @@ def lay_on_faces(
 
 
 def _laid(
-    outline: shapely.Polygon, segments: Sequence[Segment], tree: shapely.STRtree, cell_m: float
+    outline: shapely.Polygon, sides: Sequence[Segment], tree: shapely.STRtree, cell_m: float
 ) -> shapely.Polygon:
     smooth = outline.simplify(_STEP_CELLS * cell_m)
     shell, *holes = [
-        _laid_ring(shapely.get_coordinates(ring), outline, segments, tree, cell_m)
+        _laid_ring(shapely.get_coordinates(ring), outline, sides, tree, cell_m)
         for ring in (smooth.exterior, *smooth.interiors)
     ]
     if len(shell) < 3:
@@ -103,7 +99,7 @@ def _laid(
 def _laid_ring(
     corners: FloatArray,
     outline: shapely.Polygon,
-    segments: Sequence[Segment],
+    sides: Sequence[Segment],
     tree: shapely.STRtree,
     cell_m: float,
 ) -> list[FloatArray]:
@@ -115,15 +111,15 @@ def _laid_ring(
         nearest, least_m = None, reach_m
         along = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
         for number in tree.query(shapely.linestrings(edge), predicate="dwithin", distance=reach_m):
-            face = segments[number]
+            face = sides[number]
             away_m = float(np.abs(face.before_m(edge)).mean())
             if away_m >= least_m or abs(face.normal @ along) > _PARALLEL_SINE:
                 continue
             margin_m = min(2 * reach_m, face.length_m / 2)
             low_m, high_m = margin_m, face.length_m - margin_m
             middle = face.at(np.clip(face.place_m(edge.mean(axis=0)[None]), low_m, high_m))
-            sides = middle + np.outer([2, -2], reach_m * face.normal)
-            before, behind = shapely.contains_xy(outline, *sides.T)
+            beside = middle + np.outer([2, -2], reach_m * face.normal)
+            before, behind = shapely.contains_xy(outline, *beside.T)
             if before and not behind:
                 nearest, least_m = face, away_m
         return nearest

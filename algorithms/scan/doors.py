@@ -147,9 +147,9 @@ def find_door_lines(
 
     upmost: (L,) each line's up-most vertical structure, from `VerticalStructures`.
     """
-    is_upmost = upmost[planes.candidate_line] == planes.candidate_structure
+    is_upmost = upmost[planes.candidates.line] == planes.candidates.structure
     member = (planes.candidate_plane >= 0) & is_upmost
-    line, plane = planes.candidate_line[member], planes.candidate_plane[member]
+    line, plane = planes.candidates.line[member], planes.candidate_plane[member]
     start, depression, measured = _find_depressions(
         returns,
         lines.order,

@@ -57,9 +57,7 @@ class WallPlanes:
     line_count, point_count: number of candidates and samples.
     moments: (K, 6) n, Σx, Σy, Σxx, Σxy, Σyy of its samples, from which planes are fused.
 
-    The growing, one row for each candidate (C,) in the order of Algorithm 1:
-    candidate_structure, candidate_line: its vertical structure and point line.
-    candidate_reach, candidate_below_ceiling_m, candidate_gap_max_m: as in `WallCandidates`.
+    The growing of the candidates (C,), in the order of Algorithm 1:
     candidate_growth: uint8, see `Growth`.
     candidate_distance_m: Θ, its distance from the plane that it was compared with.
     candidate_gap_m: horizontal distance from the last candidate of that plane; both are NaN where
@@ -80,15 +78,11 @@ class WallPlanes:
     line_count: IntArray
     point_count: IntArray
     moments: FloatArray
-    candidate_structure: IntArray
-    candidate_line: IntArray
+    candidates: WallCandidates
     candidate_growth: UInt8Array
     candidate_plane: IntArray
     candidate_distance_m: FloatArray
-    candidate_reach: UInt8Array
-    candidate_below_ceiling_m: FloatArray
     candidate_gap_m: FloatArray
-    candidate_gap_max_m: FloatArray
     candidate_grown: IntArray
     candidate_nearest_m: FloatArray
     candidate_membership: UInt8Array
@@ -154,15 +148,11 @@ def grow_wall_planes(
         line_count=lines[is_wall].astype(np.int32),
         point_count=total[is_wall, 0].astype(np.int32),
         moments=total[is_wall],
-        candidate_structure=candidates.structure,
-        candidate_line=candidates.line,
+        candidates=candidates,
         candidate_growth=growth,
         candidate_plane=plane,
         candidate_distance_m=distance_m,
-        candidate_reach=candidates.reach,
-        candidate_below_ceiling_m=candidates.below_ceiling_m,
         candidate_gap_m=gap_m,
-        candidate_gap_max_m=candidates.gap_max_m,
         candidate_grown=grown,
         candidate_nearest_m=nearest_m,
         candidate_membership=membership.astype(np.uint8),

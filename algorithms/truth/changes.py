@@ -105,23 +105,12 @@ class Changes:
     poses: tuple[IntArray, FloatArray, FloatArray] | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class GridChange:
-    """Cells of two maps.
+def compare_grids(a: GridMap, b: GridMap) -> tuple[FloatArray, FloatArray, dict[str, int]]:
+    """Compare cells by their place.
 
-    lost, gained: (n, 2) centres of cells that are occupied in A or B alone. kept: number occupied
-    in both. blocked, freed: numbers of cells that are free in A or B alone.
+    Returns the centres (n, 2) of the cells that are occupied in A and in B alone, and numbers of
+    cells. Raises ValueError if cells differ in size.
     """
-
-    lost: FloatArray
-    gained: FloatArray
-    kept: int
-    blocked: int
-    freed: int
-
-
-def compare_grids(a: GridMap, b: GridMap) -> GridChange:
-    """Compare cells by their place. Raises ValueError if they differ in size."""
     if not np.isclose(a.cell_m, b.cell_m):
         raise ValueError(f"cells of {a.cell_m:g} m against cells of {b.cell_m:g} m")
     # Both are laid over the smallest rectangle that holds both.
@@ -133,13 +122,16 @@ def compare_grids(a: GridMap, b: GridMap) -> GridChange:
     cells_a, cells_b = (grid.cropped_to(frame).cells for grid in (a, b))
     occupied_a, occupied_b = cells_a == Cell.OCCUPIED, cells_b == Cell.OCCUPIED
     free_a, free_b = cells_a == Cell.FREE, cells_b == Cell.FREE
-    return GridChange(
-        lost=frame.middles(occupied_a & ~occupied_b),
-        gained=frame.middles(occupied_b & ~occupied_a),
-        kept=int(np.count_nonzero(occupied_a & occupied_b)),
-        blocked=int(np.count_nonzero(free_a & ~free_b)),
-        freed=int(np.count_nonzero(free_b & ~free_a)),
-    )
+    lost, gained = occupied_a & ~occupied_b, occupied_b & ~occupied_a
+    counted = {
+        "occupied_lost": lost,
+        "occupied_gained": gained,
+        "occupied_kept": occupied_a & occupied_b,
+        "free_lost": free_a & ~free_b,
+        "free_gained": free_b & ~free_a,
+    }
+    figures = {name: int(np.count_nonzero(cells)) for name, cells in counted.items()}
+    return frame.middles(lost), frame.middles(gained), figures
 
 
 def unmatched_walls(ends: FloatArray, others: FloatArray) -> FloatArray:

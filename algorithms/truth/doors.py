@@ -1,8 +1,6 @@
 """Doors against the ground truth: which were passed, found, missed and invented (paper, IV.B)."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -109,49 +107,27 @@ def _direction(ends: FloatArray) -> FloatArray:
     return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9))
 
 
-class DoorPanels(NamedTuple):
-    """Jambs, lintel and leaves of a door as upright rectangles.
-
-    panels: (k, 2, 2); a jamb has no width.
-    heights: (k, 2) bottom and top; the lintel has no height.
-    low, high: (2,) corners of the area in which returns can be near.
-    """
-
-    panels: FloatArray
-    heights: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-
-def door_panels(doors: TrueDoors) -> list[DoorPanels]:
-    """Return what returns can be near to, door by door."""
-    found = []
-    for ends, head_m, leaves in zip(doors.ends, doors.head_m, doors.leaves, strict=True):
+def count_near(points: FloatArray, origin: FloatArray, doors: TrueDoors) -> IntArray:
+    """Count the points (n, 3) near jambs, lintel and leaves of each door. origin: (3,) sensor."""
+    counts: IntArray = np.zeros(len(doors), np.int64)
+    for door, (ends, head_m) in enumerate(zip(doors.ends, doors.head_m, strict=True)):
+        # Upright rectangles: a jamb has no width, the lintel, the third, no height.
         jambs = ends[:, None].repeat(2, axis=1)
-        panels = np.array([*jambs, ends, *leaves], np.float64)
-        heights = np.tile([0.0, head_m], (len(panels), 1))
-        heights[2, 0] = head_m
+        panels = np.array([*jambs, ends, *doors.leaves[door]], np.float64)
         low, high = panels.min(axis=(0, 1)) - NEAR_M, panels.max(axis=(0, 1)) + NEAR_M
-        found.append(DoorPanels(panels, heights, low, high))
-    return found
-
-
-def count_near(
-    points: FloatArray, origin: FloatArray, doors: Sequence[DoorPanels], returns: IntArray
-) -> None:
-    """Add the number of points (n, 3) near each door to `returns` (D,). origin: (3,) sensor."""
-    for door, own in enumerate(doors):
-        away = np.maximum(np.maximum(own.low - origin[:2], origin[:2] - own.high), 0.0)
+        away = np.maximum(np.maximum(low - origin[:2], origin[:2] - high), 0.0)
         if (away**2).sum() > RANGE_M**2:
             continue
-        inside = ((points[:, :2] >= own.low) & (points[:, :2] <= own.high)).all(axis=1)
+        inside = ((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)
         x, y, z = (points[inside] - origin).T
         places = points[inside][x**2 + y**2 + z**2 <= RANGE_M**2]
         near = np.zeros(len(places), bool)
-        for panel, (bottom_m, top_m) in zip(own.panels, own.heights, strict=True):
-            above_m = np.maximum(np.maximum(bottom_m - places[:, 2], places[:, 2] - top_m), 0.0)
+        for k, panel in enumerate(panels):
+            bottom_m = head_m if k == 2 else 0.0
+            above_m = np.maximum(np.maximum(bottom_m - places[:, 2], places[:, 2] - head_m), 0.0)
             near |= squared_distances(places[:, :2], panel) + above_m**2 <= NEAR_M**2
-        returns[door] += np.count_nonzero(near)
+        counts[door] = np.count_nonzero(near)
+    return counts
 
 
 def squared_distances(points: FloatArray, segment: FloatArray) -> FloatArray:

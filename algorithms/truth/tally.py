@@ -5,7 +5,7 @@ import numpy as np
 from ffmap.algorithms.base.labels import NO_RETURN, Truth
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
-from ffmap.algorithms.truth.doors import TrueDoors, count_near, door_panels
+from ffmap.algorithms.truth.doors import TrueDoors, count_near
 from ffmap.algorithms.truth.labels import UNLABELLED
 
 VOXEL_M = 0.05
@@ -25,7 +25,7 @@ class Tally:
     """
 
     def __init__(self, doors: TrueDoors) -> None:
-        self._doors = door_panels(doors)
+        self._doors = doors
         self._table = VoxelTable(VOXEL_M, _TRUTHS + 2 * _LABELS)
         self.confusion_points = np.zeros((2, _TRUTHS, _LABELS), np.int64)
         self.door_returns: IntArray = np.zeros(len(doors), np.int64)
@@ -57,7 +57,7 @@ class Tally:
             confusion += _confusion(truth, own)
         codes = (truth, _TRUTHS + labels[0], _TRUTHS + _LABELS + labels[1])
         self._table.add(points, *(code.astype(np.uint8) for code in codes))
-        count_near(points, np.asarray(origin_map, np.float64), self._doors, self.door_returns)
+        self.door_returns += count_near(points, np.asarray(origin_map, np.float64), self._doors)
 
     def absorb(self, other: "Tally") -> None:
         """Add the counts of other scans against the same doors."""

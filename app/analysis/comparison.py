@@ -308,17 +308,10 @@ def _state(door: Mapping[str, Any]) -> str:
 def _compare_grids(change: Change, _: ChangedPoints) -> None:
     a, b = map(read_map, _of_both(change, map_file(entities.FURNITURE_FREE)))
     try:
-        grid = compare_grids(a, b)
+        change.lost["cells"], change.gained["cells"], figures = compare_grids(a, b)
     except ValueError as error:
         raise _NotComparableError(str(error)) from error
-    change.lost["cells"], change.gained["cells"] = grid.lost, grid.gained
-    change.figures |= {
-        "grid.occupied_lost": len(grid.lost),
-        "grid.occupied_gained": len(grid.gained),
-        "grid.occupied_kept": grid.kept,
-        "grid.free_lost": grid.blocked,
-        "grid.free_gained": grid.freed,
-    }
+    change.figures |= {f"grid.{name}": count for name, count in figures.items()}
 
 
 _SUBJECTS: dict[str, Callable[[Change, ChangedPoints], None]] = {

@@ -14,7 +14,7 @@ from skimage.measure import block_reduce
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.area_graph import AreaGraph, Room
-from ffmap.algorithms.maps.floor_plan import FloorPlan, Leaf
+from ffmap.algorithms.maps.floor_plan import FloorPlan
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.algorithms.scan.doors import DoorState
@@ -42,10 +42,8 @@ PLAN_STYLES: dict[str, tuple[str | None, dict[str, Any]]] = {
     "window": ("window", {"fc": "white", "ec": _DARK, "lw": 0.5}),
     "pane": (None, {"color": _DARK, "lw": 0.5}),
     "doorway": (None, {"fc": "white", "ec": "none"}),
-    "leaf": ("open door, leaf as seen", {"color": _BLUE, "lw": 1.4}),
-    "swing": (None, {"color": _BLUE, "lw": 0.5}),
     "closed": ("closed door", {"color": _BLUE, "lw": 1.4}),
-    "unseen": ("open doorway, no leaf seen", {"color": _BLUE, "lw": 0.7, "ls": (0, (3, 2))}),
+    "open": ("open door", {"color": _BLUE, "lw": 0.7, "ls": (0, (3, 2))}),
 }
 """Legend entry and style of each kind of part of the floor plan, in drawing order."""
 _MAP_TITLES = {
@@ -108,8 +106,7 @@ def write_floor_plan(path: Path, plan: FloorPlan, title: str) -> None:
 def _parts(plan: FloorPlan) -> dict[str, Sequence[shapely.Polygon | shapely.LineString]]:
     """Group the plan's parts by the kinds of `PLAN_STYLES`."""
     closed = [door for door in plan.doors if door.state == DoorState.CLOSED]
-    leaves = [leaf for door in plan.doors for leaf in door.leaves]
-    unseen = [d for d in plan.doors if d.state != DoorState.CLOSED and not d.leaves]
+    opened = [door for door in plan.doors if door.state == DoorState.OPEN]
     parts: dict[str, Sequence[shapely.Polygon | shapely.LineString]] = {
         "room": [room.polygon for room in plan.rooms],
         "assumed": plan.assumed,
@@ -118,10 +115,8 @@ def _parts(plan: FloorPlan) -> dict[str, Sequence[shapely.Polygon | shapely.Line
         "window": plan.windows,
         "pane": [pane(window) for window in plan.windows],
         "doorway": [door.outline.buffer(0.01, join_style="mitre") for door in plan.doors],
-        "leaf": [shapely.LineString([leaf.hinge, leaf.tip]) for leaf in leaves],
-        "swing": [swing(leaf) for leaf in leaves],
         "closed": [shapely.LineString(door.closed) for door in closed],
-        "unseen": [shapely.LineString(door.sill) for door in unseen],
+        "open": [shapely.LineString(door.sill) for door in opened],
     }
     return {kind: parts[kind] for kind in PLAN_STYLES}
 
@@ -132,18 +127,6 @@ def extent(plan: FloorPlan) -> FloatArray:
     upright = shapely.affinity.rotate(everything, -plan.direction_deg, origin=(0.0, 0.0))
     bounds: FloatArray = np.nan_to_num(shapely.bounds(upright))
     return bounds
-
-
-def shut_tip(leaf: Leaf) -> FloatArray:
-    """Return where the leaf's free edge (2,) is when the door is closed."""
-    return leaf.hinge + turned(leaf.tip - leaf.hinge, -leaf.swing_deg)
-
-
-def swing(leaf: Leaf) -> shapely.LineString:
-    """Return the arc of the leaf's free edge, from closed to where it was seen."""
-    angles = np.linspace(0.0, leaf.swing_deg, 24)
-    along = shut_tip(leaf) - leaf.hinge
-    return shapely.LineString([leaf.hinge + turned(along, angle) for angle in angles])
 
 
 def pane(window: shapely.Polygon) -> shapely.LineString:
@@ -190,9 +173,7 @@ def write_overlays(path: Path, compared: ComparedMaps, direction_deg: float) -> 
     columns = 2 if size_m[0] > size_m[1] else 3
     rows = math.ceil((len(compared) + 1) / columns)
     inches = _MAP_PX / _DPI * size_m / size_m.max()
-    figure = Figure(
-        figsize=(columns * (inches[0] + 0.8), rows * (inches[1] + 1.6)), layout="tight"
-    )
+    figure = Figure(figsize=(columns * (inches[0] + 0.8), rows * (inches[1] + 1.6)), layout="tight")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in panels[len(compared) :]:
         axes.axis("off")

@@ -10,7 +10,7 @@ from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.floor_plan import FloorPlan, PlanDoor
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.folder.atomic import written_whole
-from ffmap.app.folder.pictures import extent, pane, shut_tip
+from ffmap.app.folder.pictures import extent, pane
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing
@@ -95,14 +95,6 @@ def _add_polygon(space: "Modelspace", polygon: shapely.Polygon, layer: str, fill
 
 
 def _add_door(space: "Modelspace", door: PlanDoor) -> None:
-    attributes = {"layer": "DOORS"}
     _add_polygon(space, door.outline, "DOORS", filled=False)
     if door.state == DoorState.CLOSED:
-        space.add_lwpolyline(door.closed.tolist(), dxfattribs=attributes)
-    for leaf in door.leaves:
-        space.add_line(tuple(leaf.hinge), tuple(leaf.tip), dxfattribs=attributes)
-        along = np.array([shut_tip(leaf), leaf.tip]) - leaf.hinge
-        shut_deg, open_deg = np.degrees(np.arctan2(along[:, 1], along[:, 0])).tolist()
-        start, end = (shut_deg, open_deg) if leaf.swing_deg > 0 else (open_deg, shut_deg)
-        radius = float(np.linalg.norm(along[1]))
-        space.add_arc(tuple(leaf.hinge), radius, start, end, dxfattribs=attributes)
+        space.add_lwpolyline(door.closed.tolist(), dxfattribs={"layer": "DOORS"})

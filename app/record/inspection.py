@@ -233,12 +233,12 @@ class _Lines:
         growing_names: list[str] = []
         outlines: list[FloatArray] = []
         names: list[str] = []
-        for c in np.flatnonzero(planes.candidate_line == line):
+        for c in np.flatnonzero(planes.candidates.line == line):
             before = np.flatnonzero(planes.candidate_grown[:c] >= 0)
             if not np.isnan(planes.candidate_distance_m[c]) and len(before):
                 latest = planes.candidate_grown[before[-1]]
                 peers = before[planes.candidate_grown[before] == latest]
-                for s in planes.candidate_structure[peers]:
+                for s in planes.candidates.structure[peers]:
                     samples = self._labelling.lines.samples[structures.line[s]]
                     span = samples[structures.first[s] : structures.last[s] + 1]
                     growing.append(self._points[span])

@@ -50,9 +50,9 @@ def line_outcomes(labelling: ScanLabelling) -> list[LineOutcome]:
     planes, doors = labelling.planes, labelling.door_lines
     outcome = [LineOutcome.NO_STRUCTURE] * len(labelling.lines)
     # A line is in a plane if any of its candidates is.
-    for line in planes.candidate_line[planes.candidate_plane < 0]:
+    for line in planes.candidates.line[planes.candidate_plane < 0]:
         outcome[line] = LineOutcome.REFUSED
-    for line in planes.candidate_line[planes.candidate_plane >= 0]:
+    for line in planes.candidates.line[planes.candidate_plane >= 0]:
         outcome[line] = LineOutcome.WALL
     for line in doors.line[doors.above_door]:
         outcome[line] = LineOutcome.DOOR
@@ -61,7 +61,7 @@ def line_outcomes(labelling: ScanLabelling) -> list[LineOutcome]:
 
 def candidate_reasons(labelling: ScanLabelling) -> list[str]:
     """Return why each wall candidate was taken or refused."""
-    return [_candidate_reason(labelling, c) for c in range(len(labelling.planes.candidate_line))]
+    return [_candidate_reason(labelling, c) for c in range(len(labelling.planes.candidates.line))]
 
 
 def door_reasons(labelling: ScanLabelling) -> list[str]:
@@ -87,9 +87,9 @@ def _explain(labelling: ScanLabelling, line: int, outcome: LineOutcome) -> LineR
     if not conditions[-1].met:
         return LineReason(line, outcome, str(conditions[-1]), tuple(conditions))
     reasons = []
-    for c in np.flatnonzero(planes.candidate_line == line).tolist():
+    for c in np.flatnonzero(planes.candidates.line == line).tolist():
         # A lower structure that reaches a ceiling is a candidate too: a wall below a lintel.
-        upmost = planes.candidate_structure[c] == structures.upmost[line]
+        upmost = planes.candidates.structure[c] == structures.upmost[line]
         reasons.append(_candidate_reason(labelling, c))
         conditions += _candidate_conditions(labelling, c, "" if upmost else " (lower)")
     door_lines = np.flatnonzero(labelling.door_lines.line == line).tolist()
@@ -120,8 +120,8 @@ def _has_structure(labelling: ScanLabelling, line: int) -> Condition:
 
 def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
     planes, settings = labelling.planes, labelling.settings.wall_planes
-    reach, below_m = Reach(planes.candidate_reach[c]), planes.candidate_below_ceiling_m[c]
-    top_m = labelling.structures.top_m[planes.candidate_structure[c]]
+    reach, below_m = Reach(planes.candidates.reach[c]), planes.candidates.below_ceiling_m[c]
+    top_m = labelling.structures.top_m[planes.candidates.structure[c]]
     measured, limit = f"top at {top_m:.2f} m", f"≥ {settings.height_min_m:g} m"
     if not np.isnan(below_m):
         measured, limit = f"{_cm(below_m)} below the ceiling", f"≤ {_cm(settings.reach_m)}"
@@ -159,7 +159,7 @@ def _membership(labelling: ScanLabelling, c: int) -> Condition:
             limit = f"≤ {_cm(settings.similarity_m)}"
             return Condition("Alg. 1: RMS of its plane", "more", limit, False)
         case Membership.DUCT:
-            bottom_m = labelling.structures.bottom_m[planes.candidate_structure[c]]
+            bottom_m = labelling.structures.bottom_m[planes.candidates.structure[c]]
             limit = f"≤ {BOTTOM_MAX_M:g} m in one line"
             name = "III.B: lower edge (else a duct)"
             return Condition(name, f"at {bottom_m:.2f} m", limit, False)
@@ -174,7 +174,7 @@ def _candidate_conditions(labelling: ScanLabelling, c: int, which: str) -> list[
         (
             "Alg. 1: distance to its last line",
             planes.candidate_gap_m[c],
-            planes.candidate_gap_max_m[c],
+            planes.candidates.gap_max_m[c],
         ),
     ):
         if not np.isnan(planes.candidate_distance_m[c]):

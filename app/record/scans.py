@@ -128,7 +128,7 @@ def scan_metrics(
     found = (
         np.count_nonzero(labelling.lines.samples[:, 0] >= 0),
         len(labelling.structures.line),
-        len(labelling.planes.candidate_line),
+        len(labelling.planes.candidates.line),
         len(labelling.planes),
         np.count_nonzero(labelling.door_lines.above_door),
         len(labelling.openings),
@@ -299,7 +299,7 @@ def _log_candidates(log: Log, positions: FloatArray, labelling: ScanLabelling) -
         "distance_m": planes.candidate_distance_m,
         entities.CANDIDATE_PLANE_COLOR: rgba,
     }
-    upmost, bottommost = planes.candidate_structure, structures.bottommost
+    upmost, bottommost = planes.candidates.structure, structures.bottommost
     reasons = candidate_reasons(labelling)
     for path, chosen, more, color, labels in (
         ("/scan/candidates/upmost", upmost, growth, entities.UPMOST_COLOR, reasons),

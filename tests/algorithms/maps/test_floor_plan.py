@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 import shapely
 
-from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import main_direction_deg
 from ffmap.algorithms.building.drive import Drive
-from ffmap.algorithms.building.face_columns import Storey
-from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.model import BuildingSettings, Doors
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
@@ -20,7 +17,6 @@ from ffmap.algorithms.building.thickness import (
     part_walls,
     usual_thickness,
 )
-from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.floor_plan import FloorPlan, draw_floor_plan
 from ffmap.algorithms.maps.furniture_free import standing_stretches
 from ffmap.algorithms.maps.grid import GridMapSettings
@@ -33,17 +29,11 @@ THICKNESS = WallThicknessSettings()
 UNKNOWN_M = 0.3
 
 
-def plan_of(rooms: TwoRooms, floor_m: float = 0.0) -> FloorPlan:
-    """The plan of two rooms whose floor lies at a height in the map."""
+def plan_of(rooms: TwoRooms) -> FloorPlan:
     immobile, drive = rooms.build()
-    table = VoxelTable(0.05, len(Label))
-    features = rooms.scans()
-    table.add(features.ray_end_map + np.float32([0.0, 0.0, floor_m]), features.ray_label)
-    immobile = replace(immobile, votes=table.votes())
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS, KNEE_M)
     stretches = standing_stretches(immobile, KNEE_M)
-    storey = Storey.of(immobile.votes, (), LevelsSettings())
-    return draw_floor_plan(stretches, immobile, grid, storey, THICKNESS)
+    return draw_floor_plan(stretches, immobile, grid, THICKNESS)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 25.0, 160.0])
@@ -156,28 +146,6 @@ def test_the_main_direction_is_that_of_most_walls_not_the_mean() -> None:
     assert main_direction_deg(np.zeros((3, 2, 2))) == 0.0
 
 
-@pytest.mark.parametrize("angle_deg", [35.0, 90.0, 130.0])
-@pytest.mark.parametrize("turn_deg", [0.0, 50.0])
-def test_the_swing_of_an_open_leaf_is_found(angle_deg: float, turn_deg: float) -> None:
-    rooms = TwoRooms(leaf_deg=angle_deg, turn_deg=turn_deg)
-    door = plan_of(rooms).doors[0]
-    assert len(door.leaves) == 1
-    leaf = door.leaves[0]
-    # Hung at the western jamb on B's side, it turns counter-clockwise into B.
-    np.testing.assert_allclose(
-        rooms.to_rooms(leaf.hinge[None])[0], [JAMBS_X[0], SIZE_M[1] + rooms.thickness_m], atol=0.01
-    )
-    assert leaf.swing_deg == pytest.approx(angle_deg, abs=5.1)
-
-
-def test_no_leaf_is_made_up() -> None:
-    assert plan_of(TwoRooms()).doors[0].leaves == ()
-    closed = plan_of(TwoRooms(closed=True)).doors[0]
-    assert closed.state == DoorState.CLOSED
-    assert closed.leaves == ()
-    np.testing.assert_allclose(closed.closed[:, 1], SIZE_M[1] + 0.04)
-
-
 @pytest.mark.parametrize("seen", [4, 2])
 @pytest.mark.parametrize("turn_deg", [0.0, 25.0])
 def test_a_free_standing_column_is_its_own_outline(seen: int, turn_deg: float) -> None:
@@ -207,7 +175,11 @@ def test_an_empty_building_has_an_empty_plan() -> None:
         immobile, Drive(drive.path_map, list), GridMapSettings(), THICKNESS, KNEE_M
     )
     nothing = immobile.walls.select(np.zeros(0, int))
-    plan = draw_floor_plan(
-        nothing, immobile, grid, Storey.of(immobile.votes, (), LevelsSettings()), THICKNESS
-    )
+    plan = draw_floor_plan(nothing, immobile, grid, THICKNESS)
     assert (plan.walls, plan.assumed, plan.columns) == ((), (), ())
+
+
+def test_a_closed_leaf_is_drawn_behind_its_sill() -> None:
+    (door,) = plan_of(TwoRooms(closed=True)).doors
+    assert door.state == DoorState.CLOSED
+    np.testing.assert_allclose(door.closed[:, 1], SIZE_M[1] + 0.04)

@@ -119,9 +119,10 @@ def test_the_walk_is_emitter_by_emitter_whatever_the_order_of_structures() -> No
     in_order = grow(CORNER)
     rows = np.random.default_rng(2).permutation(16)
     shuffled = grow(CORNER, rows=rows)
-    assert shuffled.candidate_line.tolist() == list(range(0, 32, 2))
-    assert shuffled.candidate_structure.tolist() == np.argsort(rows).tolist()
-    for name in ("line", "growth", "plane"):
+    assert shuffled.candidates.line.tolist() == list(range(0, 32, 2))
+    assert shuffled.candidates.structure.tolist() == np.argsort(rows).tolist()
+    assert in_order.candidates.line.tolist() == shuffled.candidates.line.tolist()
+    for name in ("growth", "plane"):
         expected = getattr(in_order, f"candidate_{name}").tolist()
         assert getattr(shuffled, f"candidate_{name}").tolist() == expected
 
@@ -129,7 +130,7 @@ def test_the_walk_is_emitter_by_emitter_whatever_the_order_of_structures() -> No
 def test_the_two_sides_of_the_emitters_are_walked_one_after_the_other() -> None:
     left, right = wall([-0.6, 2.0], [0.8, 2.0], 8), wall([-0.6, -1.5], [0.8, -1.5], 8)
     found = grow(np.stack([left, right], axis=1).reshape(-1, 2, 2), list(range(16)))
-    assert found.candidate_line.tolist() == [*range(0, 16, 2), *range(1, 16, 2)]
+    assert found.candidates.line.tolist() == [*range(0, 16, 2), *range(1, 16, 2)]
     # The second side seeds its own plane, compared with nothing; nothing was broken.
     assert found.candidate_growth.tolist() == 2 * ([SEEDED] + [JOINED] * 7)
     assert np.flatnonzero(np.isnan(found.candidate_distance_m)).tolist() == [0, 8]
@@ -212,7 +213,7 @@ def test_without_a_ceiling_the_height_decides(top_m: float, growth: Growth) -> N
     found = grow(STRAIGHT, spans=spans, ceilings=())
     assert found.candidate_growth[3] == growth
     assert np.delete(found.candidate_growth, 3).tolist() == [SEEDED] + [JOINED] * 10
-    assert Reach.HEIGHT in found.candidate_reach
+    assert Reach.HEIGHT in found.candidates.reach
 
 
 def test_a_duct_below_the_ceiling_is_no_wall() -> None:
@@ -236,8 +237,8 @@ def test_the_evidence_shows_why_each_candidate_is_in_no_plane() -> None:
     spans[2] = (0.1, 2.0)
     found = grow(candidates, spans=spans)
     reasons, nearest_m = found.candidate_membership, found.candidate_nearest_m
-    assert (reasons[2], found.candidate_reach[2]) == (Membership.REFUSED, Reach.LOW)
-    assert found.candidate_below_ceiling_m[2] == pytest.approx(CEILING_M - 2.0, abs=1e-5)
+    assert (reasons[2], found.candidates.reach[2]) == (Membership.REFUSED, Reach.LOW)
+    assert found.candidates.below_ceiling_m[2] == pytest.approx(CEILING_M - 2.0, abs=1e-5)
     assert found.candidate_grown[2] == -1
     assert reasons[12:].tolist() == [Membership.ALONE] * 3
     assert nearest_m[12] == pytest.approx(0.3, abs=1e-3)
@@ -245,18 +246,18 @@ def test_the_evidence_shows_why_each_candidate_is_in_no_plane() -> None:
     grown = found.candidate_grown[12:]
     assert (grown - grown[0]).tolist() == [0, 1, 1]
     others = np.delete(np.arange(12), 2)
-    assert np.all(found.candidate_reach[others] == Reach.CEILING)
+    assert np.all(found.candidates.reach[others] == Reach.CEILING)
     np.testing.assert_allclose(nearest_m[others], 0, atol=1e-3)
     assert np.flatnonzero(reasons == Membership.IN_PLANE).tolist() == others.tolist()
     assert np.flatnonzero(found.candidate_plane >= 0).tolist() == others.tolist()
     # From one line to the next, and past the one that was refused.
     step_m = float(STRAIGHT[1, 0, 0] - STRAIGHT[0, 0, 0])
     np.testing.assert_allclose(found.candidate_gap_m[[1, 3]], [step_m, 2 * step_m], atol=1e-3)
-    assert np.all(found.candidate_gap_m[others[1:]] < found.candidate_gap_max_m[others[1:]])
+    assert np.all(found.candidate_gap_m[others[1:]] < found.candidates.gap_max_m[others[1:]])
     short = grow(wall([0.0, 2.0], [0.06, 2.0], 4, lean_m=0.0))
     assert short.candidate_membership.tolist() == [Membership.SHORT] * 4
     high = grow(STRAIGHT, spans=[(0.1, CEILING_M + 0.9)] * 12)
-    assert set(high.candidate_reach.tolist()) == {Reach.ABOVE_CEILINGS}
+    assert set(high.candidates.reach.tolist()) == {Reach.ABOVE_CEILINGS}
 
 
 @pytest.mark.parametrize("yaw_rad", [np.pi / 2, 2.5])

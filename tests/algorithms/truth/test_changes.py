@@ -64,14 +64,14 @@ def test_cells_are_compared_by_their_place() -> None:
     other = np.full((9, 12), Cell.UNKNOWN, np.uint8)
     other[3:9, 2:10] = cells
     b = GridMap(other, np.array([-1.1, 0.35]), 0.05)
-    same = compare_grids(a, b)
-    assert len(same.lost) == len(same.gained) == same.freed == same.blocked == 0
-    assert same.kept == 8
+    lost, gained, figures = compare_grids(a, b)
+    assert len(lost) == len(gained) == 0
+    assert [name for name, count in figures.items() if count] == ["occupied_kept"]
     other[5, 4] = Cell.FREE  # A's row 2, column 2
     other[0, 0] = Cell.OCCUPIED
-    found = compare_grids(a, b)
-    np.testing.assert_allclose(found.lost, [[-1.0 + 2.5 * 0.05, 0.5 + 2.5 * 0.05]])
-    np.testing.assert_allclose(found.gained, [[-1.1 + 0.025, 0.35 + 0.025]])
-    assert (found.kept, found.freed, found.blocked) == (7, 1, 0)
+    lost, gained, figures = compare_grids(a, b)
+    np.testing.assert_allclose(lost, [[-1.0 + 2.5 * 0.05, 0.5 + 2.5 * 0.05]])
+    np.testing.assert_allclose(gained, [[-1.1 + 0.025, 0.35 + 0.025]])
+    assert list(figures.values()) == [1, 1, 7, 0, 1]
     with pytest.raises(ValueError, match=r"0\.05 m against cells of 0\.1 m"):
         compare_grids(a, GridMap(cells, a.origin, 0.1))

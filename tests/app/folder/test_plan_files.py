@@ -12,7 +12,7 @@ import shapely
 
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.area_graph import Room
-from ffmap.algorithms.maps.floor_plan import FloorPlan, Leaf, PlanDoor
+from ffmap.algorithms.maps.floor_plan import FloorPlan, PlanDoor
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.folder.pictures import INCHES_PER_M, PLAN_STYLES, write_floor_plan
 from ffmap.app.folder.plan_dxf import LAYERS, write_dxf
@@ -20,14 +20,11 @@ from ffmap.app.folder.plan_dxf import LAYERS, write_dxf
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def door(state: DoorState, x: float, leaves: tuple[Leaf, ...] = ()) -> PlanDoor:
+def door(state: DoorState, x: float) -> PlanDoor:
     sill = np.array([[x, 0.0], [x + 0.9, 0.0]])
-    return PlanDoor(
-        shapely.box(x, 0.0, x + 0.9, 0.2), sill, sill + np.array([0.0, 0.04]), state, leaves
-    )
+    return PlanDoor(shapely.box(x, 0.0, x + 0.9, 0.2), sill, sill + np.array([0.0, 0.04]), state)
 
 
-LEAF = Leaf(np.array([1.0, 0.2]), np.array([1.0, 1.1]), 90.0, 0.9)
 PLAN = FloorPlan(
     walls=(
         shapely.box(0.0, 0.0, 1.0, 0.2),
@@ -36,7 +33,7 @@ PLAN = FloorPlan(
     assumed=(shapely.box(-2.0, 0.0, 0.0, 0.15),),
     columns=(shapely.box(5.0, 2.0, 5.4, 2.4),),
     doors=(
-        door(DoorState.OPEN, 1.0, (LEAF,)),
+        door(DoorState.OPEN, 1.0),
         door(DoorState.CLOSED, 2.0),
         door(DoorState.OPEN, -1.5),
     ),
@@ -58,16 +55,7 @@ def turned_plan() -> FloorPlan:
         return shapely.transform(polygon, lambda xy: turned(xy, TURN_DEG))
 
     doors = tuple(
-        PlanDoor(
-            area(d.outline),
-            turned(d.sill, TURN_DEG),
-            turned(d.closed, TURN_DEG),
-            d.state,
-            tuple(
-                Leaf(turned(o.hinge, TURN_DEG), turned(o.tip, TURN_DEG), o.swing_deg, o.share)
-                for o in d.leaves
-            ),
-        )
+        PlanDoor(area(d.outline), turned(d.sill, TURN_DEG), turned(d.closed, TURN_DEG), d.state)
         for d in PLAN.doors
     )
     parts = [
@@ -113,18 +101,9 @@ def test_the_plan_shows_doors_rooms_and_scale(tmp_path: Path) -> None:
     write_floor_plan(tmp_path / "plan.svg", PLAN, "drive.bag")
     parts = drawn(tmp_path / "plan.svg")
     kinds = [name.split("-")[0] for name in parts]
-    assert [kinds.count(kind) for kind in ("swing", "leaf", "closed", "unseen", "room")] == [
-        1,
-        1,
-        1,
-        1,
-        2,
-    ]
+    assert [kinds.count(kind) for kind in ("closed", "open", "room")] == [1, 2, 2]
     for words in ("Room 1", "<R&D>", "16.6 m²", "scale 1:100", "drive.bag"):
         assert words in texts(tmp_path / "plan.svg")
-    swing = parts[next(name for name in parts if name.startswith("swing"))]
-    # From its closed place along the wall to where the leaf was seen, a quarter turn counter-clockwise.
-    np.testing.assert_allclose(swing[-1] - swing[0], [-0.9, 0.9], atol=2e-3)
 
 
 def test_the_plan_is_drawn_square_to_its_walls(tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def test_each_line_is_on_the_timeline(settings: dict[str, float], tmp_path: Path
         assert count == np.count_nonzero(structures.line == line)
         # A fan from the lidar to every sample of the line.
         assert len(sight[line]) == 1 + np.count_nonzero(labelling.lines.samples[line] >= 0)
-        candidates = planes.candidate_line == line
+        candidates = planes.candidates.line == line
         members = candidates & (planes.candidate_plane >= 0)
         assert len(in_plane[line]) == np.count_nonzero(members)
         compared = np.isfinite(planes.candidate_distance_m[candidates]).any()

@@ -36,7 +36,7 @@ def usual() -> ScanLabelling:
 
 def test_every_candidate_and_door_line_has_its_reason(usual: ScanLabelling) -> None:
     reasons, planes = candidate_reasons(usual), usual.planes
-    assert len(reasons) == len(planes.candidate_line) > 30
+    assert len(reasons) == len(planes.candidates.line) > 30
     for c, reason in enumerate(reasons):
         plane = planes.candidate_plane[c]
         off = f"taken: plane {plane}, {100 * planes.candidate_nearest_m[c]:.1f} cm off"
@@ -90,7 +90,7 @@ def test_the_reason_changes_with_the_setting(
     reasons = candidate_reasons(found)
     assert all(words in reasons[c] for c in own)
     explained = explain_lines(found)
-    assert all(words in explained[int(line)].short for line in found.planes.candidate_line[own])
+    assert all(words in explained[int(line)].short for line in found.planes.candidates.line[own])
 
 
 def test_a_scan_with_few_returns_is_explained_too() -> None:

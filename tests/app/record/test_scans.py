@@ -99,7 +99,7 @@ def test_planes_candidates_and_doors_have_their_evidence(recording, labelled):
         strict=True,
     ):
         found, door_lines = labelling.planes, labelling.door_lines
-        np.testing.assert_array_equal(upmost["line"], found.candidate_line)
+        np.testing.assert_array_equal(upmost["line"], found.candidates.line)
         np.testing.assert_array_equal(upmost["plane"], found.candidate_plane)
         np.testing.assert_array_equal(doors["line"], door_lines.line)
         held = np.asarray(doors["conditions_held"])
