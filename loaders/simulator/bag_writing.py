@@ -115,15 +115,5 @@ class DriveWriter(BagWriter):
             self.new("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36)),
         )
 
-    def imu_at_rest(self, stamp_ns: int, frame: str) -> Any:  # noqa: ANN401
-        """Return the measurement of a level IMU, without orientation."""
-        orientation = self.new("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
-        zero = self.new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-        gravity = self.new("geometry_msgs/msg/Vector3", 0.0, 0.0, 9.81)
-        covariances = np.r_[-1.0, np.zeros(8)], np.zeros(9), np.zeros(9)
-        measured = zip((orientation, zero, gravity), covariances, strict=True)
-        header = self.header(stamp_ns, frame)
-        return self.new("sensor_msgs/msg/Imu", header, *(own for pair in measured for own in pair))
-
     def text(self, text: str) -> Any:  # noqa: ANN401
         return self.new("std_msgs/msg/String", text)

@@ -178,9 +178,7 @@ def _follow(route: FloatArray, radius: float) -> tuple[FloatArray, FloatArray, F
     return place, angle, np.append(0.0, np.cumsum(step))
 
 
-def drive(
-    route: FloatArray, end_s: float, settings: SimulationSettings, rng: Rng
-) -> Trajectory:
+def drive(route: FloatArray, end_s: float, settings: SimulationSettings, rng: Rng) -> Trajectory:
     """Return T_plan_base from 0 to `end_s` on a level floor, at rest for the first second.
 
     Poses between two stamps are interpolated linearly: the ground truth is then exact.

@@ -149,9 +149,7 @@ def _draw_ceiling(
     return Ceiling(shape, spot, profile, shapely.union_all(drops).intersection(interior), drop)
 
 
-def _draw_roof(
-    shape: str, interior: shapely.Polygon, spot: Spot, z: Span, rng: Rng
-) -> FloatArray:
+def _draw_roof(shape: str, interior: shapely.Polygon, spot: Spot, z: Span, rng: Rng) -> FloatArray:
     """Draw the profile (k, 2: x, z) of a roof across a room, from its lowest height up."""
     along = np.array([np.cos(spot.yaw), np.sin(spot.yaw)])
     x = (shapely.get_coordinates(interior) - [spot.x, spot.y]) @ along

@@ -5,15 +5,19 @@ IRC (International Building and Residential Code), ADA (2010 Standards for Acces
 """
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator.mesh import Rng, Span
 
+Building = Literal[
+    "office", "ell", "angled", "lab", "small", "dwelling", "workplace", "institution"
+]
 Sensor = Literal["hdl32e", "vlp16", "os1-16", "os0-128", "qt64", "xt32", "mid360"]
+Layout = Literal[
+    "plain", "mars", "backpack_3d", "ntu_viral", "newer_college", "oxford_spires", "hilti_2022"
+]
 Container = Literal["bag", "mcap", "db3"]
 BuiltIn = Literal[
     "nothing", "round corner", "niche", "pillar", "half wall", "leaning wall", "steps"
@@ -56,7 +60,7 @@ class SimulationSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    building: str = Field("office", description="preset of the building (see PRESETS)")
+    building: Building = Field("office", description="preset of the building (see PRESETS)")
     seed: int = Field(0, ge=0, description="seed of every random choice")
     duration_s: float = Field(60.0, gt=0.3, le=3600, description="duration (s); 1 s at rest first")
     format: Container = Field("bag", description="ROS 1 bag, or ROS 2 folder (mcap, db3)")
@@ -67,7 +71,7 @@ class SimulationSettings(BaseModel):
         description="one upright and one on its side; one upright; one upright and two on their "
         "sides; two upright, front and rear",
     )
-    layout: str = Field("plain", description="topics, frames and sensors of a public data set")
+    layout: Layout = Field("plain", description="topics, frames and sensors of a public data set")
     mount_tilt_deg: float = Field(0.0, ge=-15, le=15, description="vertical lidar: tilt down (deg)")
     noise_m: float | None = Field(
         None, ge=0, le=0.1, description="range noise, sigma (m); 0: exact; default: the sensor's"
@@ -128,11 +132,15 @@ class SimulationSettings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _from_preset(cls, given: Mapping[str, Any]) -> dict[str, Any]:
-        return {**_preset(given.get("building", "office")), **given}
+        building = given.get("building", "office")
+        return {**(PRESETS.get(building, {}) if isinstance(building, str) else {}), **given}
 
     @model_validator(mode="after")
     def _is_plausible(self) -> Self:
-        """Reject ranges below half or above twice the widest range."""
+        """Reject what a layout decides, and ranges below half or above twice the widest range."""
+        decided = self.model_fields_set & {"sensor", "lidars", "mount_tilt_deg"}
+        if decided and self.layout != "plain":
+            raise ValueError(f"layout {self.layout} decides {' and '.join(sorted(decided))} itself")
         for name in self.model_fields_set:
             widest, own = type(self).model_fields[name].default, getattr(self, name)
             if isinstance(widest, tuple) and isinstance(widest[0], int | float):
@@ -183,16 +191,6 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 }  # fmt: skip
 """The buildings: a straight corridor; one that turns a right angle, or at odd angles; one that ends
 in a hall; three rooms or four; homes; offices and shops; schools, hospitals, museums."""
-
-
-def _preset(building: object) -> Mapping[str, Any]:
-    """Return a preset by its name. Raises InputError if it is unknown."""
-    if not isinstance(building, str) or building not in PRESETS:
-        close = get_close_matches(str(building), PRESETS, 1)
-        hint = f"did you mean '{close[0]}'? There" if close else "there"
-        known = ", ".join(PRESETS)
-        raise InputError(f"--building '{building}': no such building; {hint} are {known}")
-    return PRESETS[building]
 
 
 def choose(names: tuple[T, ...], rng: Rng) -> T:

@@ -24,12 +24,11 @@ from ffmap.loaders.numbered import numbered
 from ffmap.loaders.simulator.bag_writing import DriveWriter
 from ffmap.loaders.simulator.built_in import build_in, draw_plan
 from ffmap.loaders.simulator.furniture import furnish
-from ffmap.loaders.simulator.layouts import layout_of, lidars_of, rig_of
 from ffmap.loaders.simulator.mesh import Mesh, MeshBuilder, Rng
 from ffmap.loaders.simulator.motion import ROBOT_RADIUS_M, choose_route, draw_ways, drive
 from ffmap.loaders.simulator.plan import Plan
 from ffmap.loaders.simulator.raytrace import Sweep, Walker, World, scan
-from ffmap.loaders.simulator.sensors import Lidar
+from ffmap.loaders.simulator.sensors import LAYOUTS, Lidar, draw_lidars, rig_of
 from ffmap.loaders.simulator.settings import SimulationSettings
 from ffmap.loaders.simulator.structure import build_outside, build_structure
 from ffmap.loaders.simulator.terrain import Terrain, draw_terrain
@@ -66,15 +65,12 @@ class Scene:
 
 
 def draw_scene(settings: SimulationSettings) -> Scene:
-    """Draw the building, furniture, people, lidars and drive from the settings and their seed.
-
-    Raises InputError if there is no layout of the name.
-    """
+    """Draw the building, furniture, people, lidars and drive from the settings and their seed."""
     # One stream for each part, so that one more door does not move every chair.
     plan_rng, structure_rng, furniture_rng, outside_rng, drive_rng, sensor_rng = (
         np.random.default_rng([settings.seed, part]) for part in range(6)
     )
-    layout, lidars = layout_of(settings), lidars_of(settings, sensor_rng)
+    layout, lidars = LAYOUTS.get(settings.layout), draw_lidars(settings, sensor_rng)
     plan = draw_plan(settings, plan_rng)
     ways = draw_ways(plan, plan_rng)
     clear = ways.area(ROBOT_RADIUS_M + _CLEARANCE_M)
@@ -134,17 +130,18 @@ def simulate(
 ) -> None:
     """Write the bag of one drive: a file (bag) or a folder (mcap, db3).
 
-    progress: called with the share done, 0 to 1. Raises InputError if there is no layout of the
-    name, or if `out` exists or cannot be written.
+    progress: called with the share done, 0 to 1. Raises InputError if `out` exists or cannot be
+    written.
     """
     with DriveWriter(out, settings.format) as writer:
-        scene, layout = draw_scene(settings), layout_of(settings)
+        scene = draw_scene(settings)
         world, base = World(scene.mesh, scene.walkers), scene.base_frame
-        for topic, kind in layout.others.items() if layout else ():
-            pose = writer.pose(scene.trajectory.T_map_base[0], EPOCH_NS, base)
-            message = writer.imu_at_rest(EPOCH_NS, base) if kind == "imu" else pose
-            writer.write(topic, message, EPOCH_NS)
-        if layout is None:
+        if settings.layout in LAYOUTS:
+            # The topics by which the rig is found; their content is not read.
+            first = writer.pose(scene.trajectory.T_map_base[0], EPOCH_NS, base)
+            for topic in rig_of(settings.layout).with_topics:
+                writer.write(topic, first, EPOCH_NS)
+        else:
             placed = [
                 StaticTransform(base, lidar.frame_id, lidar.T_base_sensor) for lidar in scene.lidars
             ]
@@ -153,7 +150,7 @@ def simulate(
         writer.write(BUILDING_TOPIC, truth, EPOCH_NS, latched=True)
         due_rng = np.random.default_rng([settings.seed, 72])
         streams: list[Iterable[_Timed]] = [_poses(writer, scene, settings)]
-        mapping = [lidar for lidar in scene.lidars if lidar.role != "horizontal"]
+        mapping = [lidar for lidar in scene.lidars if lidar.maps]
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             for lidar in scene.lidars:
                 due_ns = _due(lidar, settings, due_rng)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from ffmap.app.commands.simulate import simulate as simulate_command
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.cloud_index import index_clouds
 from ffmap.loaders.errors import InputError
@@ -13,7 +14,6 @@ from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.rig_file import built_in_path, built_in_rigs, rig_path
 from ffmap.loaders.scans import read_scans
 from ffmap.loaders.simulator import LAYOUTS, SimulationSettings, simulate
-from ffmap.loaders.simulator.sensors import sensor_model
 from ffmap.loaders.truth import read_truth
 from tests.loaders.bag_builder import START_NS, tf_message, write_bag
 
@@ -27,6 +27,7 @@ FIELDS = {
     "oxford_spires": ("x0:7 y4:7 z8:7 intensity16:7 timestamp24:8 ring32:4", 48),
     "hilti_2022": ("x0:7 y4:7 z8:7 intensity16:7 timestamp24:8 ring32:4", 48),
 }
+RINGS = dict(zip(FIELDS, (32, 16, 16, 128, 64, 32), strict=True))
 
 
 def small(layout: str) -> SimulationSettings:
@@ -46,7 +47,6 @@ def test_every_layout_has_its_rig_with_its_source() -> None:
     for rig in RIGS.values():
         assert rig.source
         assert "# Unconfirmed:" in rig.path.read_text()
-        assert set(rig.with_topics) <= set(LAYOUTS[rig.name].others)
         for lidar in rig.lidars:
             assert lidar.topic
             assert lidar.frame
@@ -120,7 +120,7 @@ def test_topics_points_and_truth_are_as_in_the_layout(name: str, bags: dict[str,
     with AnyReader([bags[name]]) as reader:
         topics = {c.topic: c for c in reader.connections}
         truth = {"/truth/pose", "/truth/classes", "/truth/building"}
-        assert topics.keys() - truth == lidars | LAYOUTS[name].others.keys()
+        assert topics.keys() - truth == lidars | set(RIGS[name].with_topics)
         for topic in lidars:
             _, _, raw = next(reader.messages([topics[topic]]))
             cloud = reader.deserialize(raw, topics[topic].msgtype)
@@ -135,7 +135,7 @@ def test_topics_points_and_truth_are_as_in_the_layout(name: str, bags: dict[str,
         lidar = rig.vertical or rig.horizontal
         assert lidar is not None
         assert lidar.decoding.timed
-        assert lidar.ring_count == sensor_model(LAYOUTS[name].sensor, small(name)).rings
+        assert lidar.ring_count == RINGS[name]
         index = index_clouds(bag, lidar.topic)
         scans = [scan for _, scan in read_scans(bag, index, 0, None, lidar.decoding)]
         for scan in scans[:-1]:
@@ -152,10 +152,10 @@ def test_topics_points_and_truth_are_as_in_the_layout(name: str, bags: dict[str,
 def test_unknown_names_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="did you mean mars"):
         rig_path(Path("marss"))
-    with pytest.raises(InputError, match="no layout 'mar'; the layouts are plain, mars"):
-        simulate(tmp_path / "a.bag", SimulationSettings(layout="mar"))
-    with pytest.raises(InputError, match="mars decides its own sensor"):
-        simulate(tmp_path / "a.bag", SimulationSettings(layout="mars", sensor="vlp16"))
+    with pytest.raises(InputError, match="layout = 'mar': Input should be 'plain', 'mars'"):
+        simulate_command(tmp_path / "a.bag", {"layout": "mar"})
+    with pytest.raises(InputError, match="layout mars decides sensor itself"):
+        simulate_command(tmp_path / "a.bag", {"layout": "mars", "sensor": "vlp16"})
     assert not list(tmp_path.iterdir())
 
 

@@ -220,8 +220,8 @@ def test_a_slope_and_a_ramp_lift_the_floor_and_the_robot() -> None:
 @pytest.mark.parametrize(
     ("values", "overrides", "message"),
     [
-        ({"building": "ofice"}, [], "did you mean 'office'"),
-        ({"building": "castle"}, [], "dwelling, workplace, institution"),
+        ({"building": "castle"}, [], "building = 'castle': Input should be 'office'"),
+        ({}, ["building=[1]"], "building = \\[1\\]"),
         ({"sensor": "hdl64"}, [], r"simulate: sensor = 'hdl64'"),
         ({}, ["clutterr=0.5"], "no setting 'clutterr'; the settings are building, seed"),
         ({}, ["clutter"], "write it as name=value"),
