@@ -37,6 +37,8 @@ NO_LINES: FloatArray = np.zeros((0, 2, 2))
 _EIGHT = np.ones((3, 3), bool)
 _MARGIN = 11
 """Cells around the free ones that are examined."""
+_PASSAGE_RATIO = 0.7
+"""The opening ratio in maps with known doors or drive, where no straight mouths separate rooms."""
 _MOUTH_RATIO = 0.85
 """Maximum width of a mouth in line with a wall, as a share of the space on either side."""
 _ENCLOSED_RATIO = 1.5
@@ -65,18 +67,12 @@ class Segmented(StrEnum):
 class AreaGraphSettings(StepSettings):
     """Rooms of a grid map (paper, IV.D, Fig. 10)."""
 
-    passage_ratio: float = Field(
-        0.7,
-        gt=0,
-        le=1,
-        description="Maximum width of an opening that separates two rooms, as a share of the "
-        "narrower room's width, where doors or the drive are known.",
-    )
     opening_ratio: float = Field(
         0.5,
         gt=0,
         le=1,
-        description="The same in any other map, where straight mouths separate rooms as well.",
+        description="Maximum width of an opening that separates two rooms, as a share of the "
+        "narrower room's width, in a map without known doors or drive.",
     )
     furniture_max_m: float = Field(
         1.2,
@@ -290,7 +286,7 @@ def _areas(
     distance, nearest: see `_basins`. walls: where openings can end. widest_m: maximum width of a
     passage.
     """
-    lines, closed, ratio = NO_LINES, np.zeros(free.shape, bool), settings.passage_ratio
+    lines, closed, ratio = NO_LINES, np.zeros(free.shape, bool), _PASSAGE_RATIO
     if with_mouths:
         ratio = settings.opening_ratio
         lines, closed = find_mouths(free, walls, cell_m, ratio=ratio, ratio_in_line=_MOUTH_RATIO)

@@ -13,6 +13,7 @@ from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.algorithms.scan.rearrangement import Returns
 from ffmap.algorithms.scan.wall_planes import WallPlanes
 
+OPEN_DEPTH_M = 0.15  # depth (m) beyond which a door is open
 HEIGHT_MAX_M = 2.6  # maximum height (m) above the floor at which a door begins
 EXCEPTIONS_MAX = 0.15  # maximum share of returns on the plane below the start: noise, a handle
 _WALL_DISTANCE_M = 0.05
@@ -37,9 +38,6 @@ class DoorsSettings(StepSettings):
         gt=0,
         description="Minimum depth (m) of a door below its wall plane: less is the plane's own "
         "error. III.C, condition 2.",
-    )
-    open_depth_m: float = Field(
-        0.15, gt=0, description="Depth (m) beyond which a door is open. III.C."
     )
     height_min_m: float = Field(
         1.8,
@@ -158,13 +156,12 @@ def find_door_lines(
         planes.normal[plane],
         planes.offset_m[plane],
         settings.recess_min_m,
-        settings.open_depth_m,
     )
     recess_m, above_m, below_m, on_plane_share, x, y = measured.T
     behind = depression == Depression.HELD
     start_height_m = np.where(behind, returns.height_m[start], np.nan)
     depth_m = np.where(behind, -below_m, np.nan)
-    state = np.where(depth_m > settings.open_depth_m, DoorState.OPEN, DoorState.CLOSED)
+    state = np.where(depth_m > OPEN_DEPTH_M, DoorState.OPEN, DoorState.CLOSED)
     return DoorLines(
         line=line,
         plane=plane,
@@ -193,7 +190,6 @@ def _find_depressions(
     normal: FloatArray,
     offset: FloatArray,
     recess_min_m: float,
-    open_depth_m: float,
 ) -> tuple[IntArray, UInt8Array, FloatArray]:
     """Condition 2 for lines (D,), each with the normal (D, 2) and offset (D,) of its plane.
 
@@ -219,7 +215,7 @@ def _find_depressions(
         if len(own) < _POINTS_MIN + 3:  # of the wall above
             continue
         # Far returns behind an open door count no more than a closed door's when it is split.
-        limited = np.maximum(before, -2.0 * open_depth_m)
+        limited = np.maximum(before, -2.0 * OPEN_DEPTH_M)
         is_lintel = height[own[0]] - height[own] >= _LINTEL_MIN_M
         split, measured[d, 0] = _best_split(limited, is_lintel, recess_min_m)
         depression[d] = Depression.NONE

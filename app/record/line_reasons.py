@@ -6,7 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray
-from ffmap.algorithms.scan.doors import EXCEPTIONS_MAX, HEIGHT_MAX_M, Depression, DoorState
+from ffmap.algorithms.scan.doors import (
+    EXCEPTIONS_MAX,
+    HEIGHT_MAX_M,
+    OPEN_DEPTH_M,
+    Depression,
+    DoorState,
+)
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import POINTS_MIN
 from ffmap.algorithms.scan.wall_candidates import Reach
@@ -238,7 +244,7 @@ def _door_conditions(labelling: ScanLabelling, d: int) -> list[Condition]:
         return conditions
     opening = int(openings.door_line_opening[d])
     lines = f"opening {opening}: {openings.line_count[opening]}" if opening >= 0 else "in none"
-    open_depth = f"open > {_cm(settings.open_depth_m)}"
+    open_depth = f"open > {_cm(OPEN_DEPTH_M)}"
     depth = f"{_cm(doors.depth_m[d])}: {DoorState(doors.state[d]).name.lower()}"
     return [
         *conditions,

@@ -109,23 +109,19 @@ def test_walls_are_areas_with_the_doorway_cut_out(turn_deg: float) -> None:
     rooms = TwoRooms(turn_deg=turn_deg)
     plan = plan_of(rooms)
     (x, y), t, (left, right) = SIZE_M, rooms.thickness_m, JAMBS_X
-    measured = shapely.union_all(plan.walls)
-    for low, high in ((0.0, left), (right, x)):
-        part = shapely.Polygon(
-            rooms.to_map(np.array([[low, y], [high, y], [high, y + t], [low, y + t]]))
-        )
+
+    def area(low_x: float, low_y: float, high_x: float, high_y: float) -> shapely.Polygon:
+        corners = shapely.get_coordinates(shapely.box(low_x, low_y, high_x, high_y))
+        return shapely.Polygon(rooms.to_map(corners))
+
+    measured, drawn = shapely.union_all(plan.walls), shapely.union_all(plan.walls + plan.assumed)
+    for part in (area(0.0, y, left, y + t), area(right, y, x, y + t)):
         assert part.difference(measured).area < 0.03 * part.area
-    doorway = shapely.Polygon(
-        rooms.to_map(np.array([[left, y], [right, y], [right, y + t], [left, y + t]]))
-    )
-    assert (
-        shapely.union_all([*plan.walls, *plan.assumed]).intersection(doorway.buffer(-0.01)).area
-        < 1e-6
-    )
+    doorway = area(left, y, right, y + t)
+    assert drawn.intersection(doorway.buffer(-0.01)).area < 1e-6
     assert plan.doors[0].outline.symmetric_difference(doorway).area < 0.01
     # The outer walls were seen from within: the usual thickness is drawn behind them only.
-    inside = shapely.Polygon(rooms.to_map(np.array([[0, 0], [x, 0], [x, y], [0, y]]))).buffer(-0.02)
-    assert shapely.union_all([*plan.walls, *plan.assumed]).intersection(inside).area < 1e-6
+    assert drawn.intersection(area(0.0, 0.0, x, y).buffer(-0.02)).area < 1e-6
     corner = shapely.Point(rooms.to_map(np.array([[-0.1, -0.1]]))[0])
     assert shapely.union_all(plan.assumed).contains(corner)
 

@@ -76,8 +76,8 @@ def test_walls_are_thin_lines_as_far_apart_as_they_are_thick(turn_deg: float) ->
     assert (np.minimum(np.abs(sides - 3.0), np.abs(sides - 3.2)) < 0.04).all()
     # One cell for each 5 cm along the longer axis, on either side.
     slant = max(abs(np.cos(np.radians(turn_deg))), abs(np.sin(np.radians(turn_deg))))
-    assert np.count_nonzero(sides < 3.1) == pytest.approx(1.0 / 0.05 * slant, abs=2)
-    assert np.count_nonzero(sides > 3.1) == pytest.approx(1.0 / 0.05 * slant, abs=2)
+    for side in (sides < 3.1, sides > 3.1):
+        assert np.count_nonzero(side) == pytest.approx(1.0 / 0.05 * slant, abs=2)
     assert (at(grid, rooms, row(2.8, 3.6, 3.1)) == Cell.UNKNOWN).all()
 
 
@@ -102,14 +102,9 @@ def test_closed_leaves_and_doorways_block_where_that_is_asked() -> None:
     for closed in (False, True):
         rooms = TwoRooms(closed=closed)
         sill = rooms.doors.ends - 0.1 * rooms.doors.normal[:, None]
-        grids = {
-            doors: draw(*rooms.build(), GridMapSettings(doors=doors))
-            for doors in ("open", "as-seen", "closed")
-        }
-        blocked = {
-            doors: bool(blocked_doors(g, sill, np.array([0.2]))[0]) for doors, g in grids.items()
-        }
-        assert blocked == {"open": False, "as-seen": closed, "closed": True}
+        for doors, is_blocked in (("open", False), ("as-seen", closed), ("closed", True)):
+            grid = draw(*rooms.build(), GridMapSettings(doors=doors))
+            assert blocked_doors(grid, sill, np.array([0.2]))[0] == is_blocked
     # The room that an open door showed is free, even if the door is drawn closed.
     rooms = TwoRooms(both_seen=False)
     grid = draw(*rooms.build(), GridMapSettings(doors="closed"))

@@ -100,8 +100,6 @@ def test_a_drift_is_corrected_by_loops_only(drive: Drive, closed: PoseGraph) -> 
     np.testing.assert_allclose(T[0], closed.T_odom_first, atol=1e-12)
     np.testing.assert_allclose(T[0], T_odometry[0], atol=2e-2)  # the drift of the first scans
     assert np.count_nonzero(closed.is_loop & (closed.weight > 0)) > 10
-    identity = T[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2)
-    np.testing.assert_allclose(identity, np.tile(np.eye(3), (160, 1, 1)), atol=1e-9)
     along = close_loops(T_odometry, clouds, SETTINGS.model_copy(update={"near_m": 0.0}))
     assert not along.is_loop.any()
     assert off_m(along.corrected(T_odometry), T_true).max() > 0.05
@@ -181,15 +179,6 @@ def test_loops_that_agree_correct_a_slip(slip_deg: float, share: float) -> None:
     edges = [edge(T_odometry, i - back, i) for i in range(20) for back in (1, 2) if i >= back]
     edges += [edge(T_true, i, i + 10 + k, share) for i in range(8) for k in (0, 1)]
     np.testing.assert_allclose(solve(T_odometry, T_odometry, edges), T_true, atol=0.01)
-
-
-def test_slips_are_rejected_neighbours() -> None:
-    first, second = np.array([0, 1, 0, 2, 0]), np.array([1, 2, 2, 3, 3])
-    weight = np.array([0.9, 0.01, 0.02, 0.0, 0.01])  # the last two: too few inliers, and a loop
-    T, none = np.tile(np.eye(4), (4, 1, 1)), np.zeros(5)
-    scan = np.array([0, 10, 20, 30])
-    graph = PoseGraph(T[0], scan, T, T, first, second, none, none, weight)
-    assert graph.slips.tolist() == [0, 10]
 
 
 def test_corrections_are_interpolated_between_submaps() -> None:

@@ -60,13 +60,6 @@ def test_facets_and_runs_of_any_number_of_returns_are_smoothed(returns: int) -> 
     assert smoothed(range_m, 0.015).smoothed_share > 0.9
 
 
-def test_second_returns_of_a_ray_do_not_hide_the_scatter() -> None:
-    twice = subset(scan_of(room(), 0.02), np.repeat(np.arange(RINGS * FIRINGS), 2))
-    found = smooth_ranges(twice, SETTINGS)
-    assert np.isfinite(found.points_sensor).all()
-    assert found.scatter_m == pytest.approx(0.02, rel=0.1)
-
-
 def test_returns_of_no_surface_are_kept() -> None:
     found = smoothed(np.random.default_rng(4).uniform(1.0, 5.0, (RINGS, FIRINGS)), 0.0)
     assert found.scatter_m <= 0.06
