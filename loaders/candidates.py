@@ -1,7 +1,7 @@
 """Topics that may be a rig's lidars, without depth cameras, merged clouds and copies."""
 
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -11,14 +11,14 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.loaders.bag import Bag
 from ffmap.loaders.cloud_checks import check_one_lidar
 from ffmap.loaders.cloud_index import index_clouds
-from ffmap.loaders.decoding import CloudDecoding, TimeFrom, decode, settle_decoding
+from ffmap.loaders.decoding import TimeFrom, decode, settle_decoding
 from ffmap.loaders.errors import CloudError, InputError
 from ffmap.loaders.frames import read_frame_tree
+from ffmap.loaders.rig import Lidar
 from ffmap.loaders.rig_file import Role
 from ffmap.loaders.rings import on_rings
 from ffmap.loaders.scans import sample_messages
 
-UPRIGHT_DEG = 45.0
 _SAMPLES = 8
 _VIEW_MIN_DEG = 150.0  # Of a lidar that is half covered; cameras and solid-state lidars see 120
 _SAMPLE_POINTS = 5000
@@ -27,28 +27,24 @@ _ON_RINGS_MIN = 0.875  # Minimum share of returns near a ring of one lidar; by c
 _COPY_SHARE = 0.5  # Minimum share of equal stamps of a cloud and its copy
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Candidate(Lidar):
     """A topic that may be one of the rig's lidars.
 
-    points: valid points of a cloud, the median.
+    stamp_ns: of its clouds.
     clouds: some points (n, 3) of each of several clouds, in the sensor's frame.
+    roles: by the rig file.
     """
 
-    topic: str
-    frame_id: str
     stamp_ns: IntArray
-    decoding: CloudDecoding
-    points: int
     clouds: list[FloatArray]
     roles: tuple[Role, ...] = ()
-    T_base_sensor: FloatArray = field(default_factory=lambda: np.eye(4))
 
     @property
     def worth(self) -> tuple[bool, bool, bool, int]:
         """Sort key; better clouds are greater: whole turns, times, rings, more points."""
         rings = self.decoding.rings.source in ("field", "row", "column")
-        return self.turns, self.decoding.time is not None, rings, self.points
+        return self.turns, self.decoding.time is not None, rings, self.points_per_cloud
 
     @cached_property
     def view_deg(self) -> float:
@@ -70,28 +66,6 @@ class Candidate:
     @property
     def turns(self) -> bool:
         return self.view_deg >= _VIEW_MIN_DEG
-
-    @property
-    def tilt_deg(self) -> float:
-        return tilt_deg_of(self.T_base_sensor)
-
-    @property
-    def upright(self) -> bool:
-        return self.tilt_deg <= UPRIGHT_DEG
-
-    @property
-    def opening_deg(self) -> float:
-        return opening_deg_of(self.decoding)
-
-
-def opening_deg_of(decoding: CloudDecoding) -> float:
-    """Compute the vertical field of view, from the lowest to the highest ring."""
-    return float(np.ptp(decoding.rings.seen_deg))
-
-
-def tilt_deg_of(T_base_sensor: FloatArray) -> float:
-    """Compute the angle between the spin axis and the base's z axis, 0 to 90°."""
-    return float(np.degrees(np.arccos(np.clip(abs(T_base_sensor[2, 2]), 0.0, 1.0))))
 
 
 def find_candidates(
@@ -117,8 +91,8 @@ def find_candidates(
         count = int(np.median([len(points) for points in clouds])) if clouds else 0
         draw = np.random.default_rng(0)
         some = [p[draw.permutation(len(p))[:_SAMPLE_POINTS]] for p in clouds if len(p)]
-        frame_id = decoding.layout.frame_id
-        found.append(Candidate(topic, frame_id, index.stamp_ns, decoding, count, some))
+        lidar = topic, decoding.layout.frame_id, np.eye(4), decoding, count
+        found.append(Candidate(*lidar, stamp_ns=index.stamp_ns, clouds=some))
     if failure and not found:
         raise failure
     return found

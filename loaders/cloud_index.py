@@ -5,25 +5,27 @@ backpack), others for each half of a revolution: successive clouds are joined to
 """
 
 from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from itertools import islice
 from weakref import WeakKeyDictionary
 
 import numpy as np
-import numpy.typing as npt
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.scan import BoolArray, IntArray
 from ffmap.algorithms.base.trajectory import gaps
-from ffmap.loaders.bag import Bag, RawMessage, Topic
+from ffmap.loaders.bag import Bag, Topic
 from ffmap.loaders.errors import InputError
-from ffmap.loaders.pointcloud2 import CLOUD_TYPE, CloudLayout, describe_layout, points_of
+from ffmap.loaders.pointcloud2 import CLOUD_TYPE, describe_layout, points_of
 from ffmap.loaders.sensors import cloud_hint, sensor_of
 
 _HEADER_BYTES = 16 + 64  # Up to the frame's name
 _FRAME_SHARE_MIN = 0.05  # Of a topic's clouds; a few odd ones are no second lidar
-_LEAD_POINTS = 32
-_LEADS = 1000  # Number of clouds whose first returns show whether they are parts of a revolution
-_LEADS_ALIKE = 0.8  # Minimum mean resultant length of their steps; without order it is near 0
+_VIEWS = 60  # Number of clouds that show whether they are parts of a revolution
+_VIEWS_OF_MANY, _PARTS_FEW = 1000, 5
+_VIEW_POINTS = 2000
+_STEPS_ALIKE = 0.8  # Minimum mean resultant length of azimuth steps; without order it is near 0
 _SECTORS = 36
 _PARTS_MAX = 200
 _PAUSE = 0.1  # Of a revolution; in fewer than 15 parts, one and a half steps
@@ -211,69 +213,40 @@ def _parts_a_turn(bag: Bag, topic: str) -> int:
     Clouds are parts of a revolution where each sees a part of the directions, and the next begins
     where it ended.
     """
-    azimuth = _azimuths(bag, topic, _LEADS)
-    if len(azimuth) < 20:
+    parts = _count_parts(list(_views(bag, topic, _VIEWS)))
+    # Many parts are counted over several revolutions.
+    return parts if parts <= _PARTS_FEW else _count_parts(list(_views(bag, topic, _VIEWS_OF_MANY)))
+
+
+def _count_parts(views: Sequence[tuple[float, float]]) -> int:
+    if len(views) < 20:
         return 1
+    azimuth, share = np.array(views).T
     mean = np.mean(np.exp(1j * np.diff(azimuth)))
     step = abs(float(np.angle(mean))) / (2 * np.pi)
-    if abs(mean) < _LEADS_ALIKE or step < 1 / _PARTS_MAX:
+    if abs(mean) < _STEPS_ALIKE or step < 1 / _PARTS_MAX:
         return 1
-    seen = float(np.nanmedian([_seen(bag, raw) for raw in islice(bag.messages([topic]), 8)]))
     # A lidar that turns by more than half a revolution seems to turn the other way round.
-    steps = [share for share in (step, 1 - step) if seen < share + 3 / _SECTORS]
+    steps = [each for each in (step, 1 - step) if np.median(share) < each + 3 / _SECTORS]
     return max(round(1 / min(steps)), 1) if steps else 1
 
 
-def _seen(bag: Bag, raw: RawMessage) -> float:
-    """Share of the directions about the spin axis with returns; NaN in a damaged cloud."""
-    try:
-        message = bag.deserialize(raw)
-        points = points_of(message, describe_layout(message, raw.topic))
-    except InputError:
-        return float("nan")
-    x, y, valid = _horizontal(points)
-    sectors = np.floor(np.arctan2(y[valid], x[valid]) / (2 * np.pi) * _SECTORS)
-    return len(np.unique(sectors % _SECTORS)) / _SECTORS
+def _views(bag: Bag, topic: str, count: int) -> Iterator[tuple[float, float]]:
+    """Yield the first return's azimuth and the share of directions with returns.
 
-
-def _azimuths(bag: Bag, topic: str, count: int) -> FloatArray:
-    """Azimuth (m,) in radians of the first return of each of the first `count` messages.
-
-    A message without a return among its first points has that of the message before.
+    Of the first `count` clouds, without damaged ones. A cloud without returns begins where the
+    one before did.
     """
-    found = _first_layout(bag, topic)
-    if found is None:
-        return np.zeros(0)
-    data_at, layout = found
-    lead_bytes = _LEAD_POINTS * layout.point.itemsize
-    heads = [head for _, head in islice(bag.heads(topic, data_at + lead_bytes), count)]
-    leads = b"".join(head[data_at:].ljust(lead_bytes, b"\0") for head in heads)
-    x, y, valid = _horizontal(np.frombuffer(leads, layout.point).reshape(len(heads), -1))
-    first = np.arange(len(heads)), valid.argmax(axis=1)
-    azimuth = np.arctan2(y[first], x[first])
-    known = np.flatnonzero(valid.any(axis=1))
-    before = np.searchsorted(known, np.arange(len(heads)), side="right") - 1
-    return azimuth[known[np.maximum(before, 0)]] if len(known) else np.zeros(0)
-
-
-def _first_layout(bag: Bag, topic: str) -> tuple[int, CloudLayout] | None:
-    """Find where in a message the points begin, and their layout, in the first sound message.
-
-    Header and fields are alike in every message.
-    """
-    for raw in bag.messages([topic]):
-        try:
+    azimuth = None
+    for raw in islice(bag.messages([topic]), count):
+        with suppress(InputError):
             message = bag.deserialize(raw)
-            layout = describe_layout(message, topic)
-        except InputError:
-            continue
-        if layout.height * layout.width:
-            # is_dense, one byte, follows the points.
-            return len(raw.data) - 1 - len(message.data), layout
-    return None
-
-
-def _horizontal(points: npt.NDArray[np.void]) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return x, y and whether they are valid, of the points' shape."""
-    x, y = (points[axis].astype(np.float64) for axis in "xy")
-    return x, y, np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
+            points = points_of(message, describe_layout(message, topic))
+            points = points[:: max(len(points) // _VIEW_POINTS, 1)]
+            x, y = (points[axis].astype(np.float64) for axis in "xy")
+            valid = np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
+            turn = np.arctan2(y[valid], x[valid])
+            azimuth = turn[0] if len(turn) else azimuth
+            sector = np.floor(turn / (2 * np.pi) * _SECTORS) % _SECTORS
+            if azimuth is not None:
+                yield azimuth, len(np.unique(sector)) / _SECTORS

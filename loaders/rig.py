@@ -8,10 +8,11 @@ from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory, seen_at_once
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.loaders.bag import Bag
-from ffmap.loaders.candidates import UPRIGHT_DEG, opening_deg_of, tilt_deg_of
 from ffmap.loaders.cloud_index import CloudIndex, index_clouds
 from ffmap.loaders.decoding import CloudDecoding
 from ffmap.loaders.frames import FrameTree, StaticTransform
+
+UPRIGHT_DEG = 45.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,7 @@ class Lidar:
     T_base_sensor: extrinsics (4, 4).
     decoding: how its clouds become scans; for `read_scans`.
     points_per_cloud: valid points of a scan, the median.
-    reasons: why it has its role, one line.
+    reasons: why it has its role, one line; empty before it has one.
     clouds_a_scan: number of successive clouds that are labelled as one scan.
     """
 
@@ -30,7 +31,7 @@ class Lidar:
     T_base_sensor: FloatArray
     decoding: CloudDecoding
     points_per_cloud: int
-    reasons: str
+    reasons: str = ""
     clouds_a_scan: int = 1
 
     def index(self, bag: Bag) -> CloudIndex:
@@ -58,16 +59,22 @@ class Lidar:
 
     @property
     def tilt_deg(self) -> float:
-        return tilt_deg_of(self.T_base_sensor)
+        """Angle between the spin axis and the base's z axis, 0 to 90°."""
+        return float(np.degrees(np.arccos(np.clip(abs(self.T_base_sensor[2, 2]), 0.0, 1.0))))
+
+    @property
+    def upright(self) -> bool:
+        return self.tilt_deg <= UPRIGHT_DEG
 
     @property
     def opening_deg(self) -> float:
-        return opening_deg_of(self.decoding)
+        """The vertical field of view, from the lowest to the highest ring."""
+        return float(np.ptp(self.decoding.rings.seen_deg))
 
     @property
     def column_pairs(self) -> int:
         """Pairs of columns that are the point lines of an upright lidar; 0 for emitters."""
-        return COLUMN_PAIRS if self.tilt_deg <= UPRIGHT_DEG else 0
+        return COLUMN_PAIRS if self.upright else 0
 
     @property
     def line_pairs(self) -> int:

@@ -69,7 +69,7 @@ def _named(
 
 
 def _lidar(c: Candidate, reasons: str) -> Lidar:
-    return Lidar(c.topic, c.frame_id, c.T_base_sensor, c.decoding, c.points, reasons)
+    return Lidar(c.topic, c.frame_id, c.T_base_sensor, c.decoding, c.points_per_cloud, reasons)
 
 
 def _lying(candidates: list[Candidate]) -> list[Lidar]:

@@ -28,7 +28,7 @@ def placed(*edges, turn=DOWN @ DOWN, may_change=True, height_m=0.7):
     tree = FrameTree(StaticTransform(*edge) for edge in edges)
     base, T = tree.root("lidar")
     views = [points @ turn[:3, :3] for points in drive_in_a_room(height_m)]
-    lidar = Candidate("/points", "lidar", np.zeros(0, int), None, 0, views, T_base_sensor=T)
+    lidar = Candidate("/points", "lidar", T, None, 0, stamp_ns=np.zeros(0, int), clouds=views)
     warnings = []
     found = make_upright(Placement([lidar], base, tree.edges), warnings, may_change)
     T_before_after = T @ np.linalg.inv(found.candidates[0].T_base_sensor)
