@@ -49,7 +49,6 @@ _DRIVES_APART_NS = 600_000_000_000
 """Minimum time between two files of a folder that belong to different drives."""
 _OUT_OF_ORDER_NS = 1_000_000_000
 """Maximum time that two files of a drive share: recorders write messages out of order."""
-_NEVER_NS = 2**63 - 1
 
 
 @dataclass(frozen=True)
@@ -184,18 +183,11 @@ class Bag:
         Where a recorder begins a new file, the two share only messages out of order.
         """
 
-        @cache
-        def span_ns(file: BagFile) -> tuple[int, int]:
-            heads = read_heads(file.reader, file.connections([topic]), 1)
-            times_ns = [time_ns for time_ns, _ in _undamaged(file, heads)]
-            return min(times_ns, default=_NEVER_NS), max(times_ns, default=0)
-
-        for file, later in combinations(self.files, 2):
-            if later.start_ns >= file.stop_ns:
-                continue
-            (start, end), (later_start, later_end) = span_ns(file), span_ns(later)
-            shared_ns = min(end, later_end) - max(start, later_start)
-            if 0 < shared_ns >= min(end - start, later_end - later_start, _OUT_OF_ORDER_NS):
+        files = [file for file in self.files if file.connections([topic])]
+        for file, later in combinations(files, 2):
+            shared_ns = min(file.stop_ns, later.stop_ns) - later.start_ns
+            shorter_ns = min(file.stop_ns - file.start_ns, later.stop_ns - later.start_ns)
+            if 0 < shared_ns >= min(shorter_ns, _OUT_OF_ORDER_NS):
                 raise InputError(
                     f"{later.path}: its {topic} overlaps with that of {file.path} by "
                     f"{shared_ns / 1e9:.1f} s, so that one is a copy or two recorders ran at once; "

@@ -1,15 +1,13 @@
 """Raw Velodyne packets (velodyne_msgs/VelodyneScan, a message a revolution)."""
 
-from collections.abc import Sequence
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from ffmap.loaders.bag import Bag, Message, RawMessage
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.pointcloud2 import make_cloud
-from ffmap.loaders.sensors.sensor import Decoder, Sensor
+from ffmap.loaders.sensors.sensor import Sensor
 
 VELODYNE_POINT = np.dtype(
     [
@@ -40,45 +38,35 @@ class Velodyne(Sensor):
         }
     )
 
-    def decoder(self, bag: Bag, topic: str) -> Decoder:
-        return VelodyneDecoder(bag, topic).to_cloud
-
-
-class VelodyneDecoder:
-    """Decodes the scans of one sensor, whose model the packets contain."""
-
-    def __init__(self, bag: Bag, topic: str) -> None:
-        import velodyne_decoder  # Slow, and few bags have packets
-
-        self._bag, self._topic = bag, topic
-        self._velodyne: Any = velodyne_decoder
-        config = velodyne_decoder.Config(timestamp_first_packet=True)
-        self._decoder: Any = velodyne_decoder.ScanDecoder(config)
-
-    def to_cloud(self, raws: Sequence[RawMessage], stamp_ns: int) -> Message:
+    def decode(self, bag: Bag, raw: RawMessage) -> Message:
         """Make a PointCloud2 of one message, `time` in seconds from its stamp.
 
         Raises CloudError where velodyne-decoder does not know the sensor.
         """
-        scan = self._bag.deserialize(raws[0])
+        import velodyne_decoder  # Slow, and few bags have packets
+
+        scan = bag.deserialize(raw)
         stamp = scan.header.stamp
-        packets = self._velodyne.PacketVector()
+        packets = velodyne_decoder.PacketVector()
         for packet in scan.packets:
             nanoseconds = int(packet.stamp.nanosec) - int(stamp.nanosec)
             since_s = (packet.stamp.sec - stamp.sec) + 1e-9 * nanoseconds
             data = packet.data.tolist()
-            packets.append(self._velodyne.VelodynePacket(_ANY_TIME_S + since_s, data))
+            packets.append(velodyne_decoder.VelodynePacket(_ANY_TIME_S + since_s, data))
         points = np.zeros(0, VELODYNE_POINT)
         if len(scan.packets):
+            decoder = velodyne_decoder.ScanDecoder(
+                velodyne_decoder.Config(timestamp_first_packet=True)
+            )
             try:
-                start, decoded = self._decoder.decode(packets, as_pcl_structs=True)
+                start, decoded = decoder.decode(packets, as_pcl_structs=True)
             except (RuntimeError, ValueError, IndexError) as error:
                 raise CloudError(
-                    f"{self._topic}: the packets cannot be decoded ({error}); decode them with the "
+                    f"{raw.topic}: the packets cannot be decoded ({error}); decode them with the "
                     "sensor's own driver and record its PointCloud2"
                 ) from error
             points = np.zeros(len(decoded), VELODYNE_POINT)
             names = ["x", "y", "z", "intensity", "ring"]
             points[names] = decoded[names]
             points["time"] = decoded["time"] + np.float32(float(start.host) - _ANY_TIME_S)
-        return make_cloud(self._bag.typestore, scan.header, points[None])
+        return make_cloud(bag.typestore, scan.header, points[None])

@@ -30,10 +30,3 @@ def test_includes_write_ahead_log(tmp_path: Path) -> None:
     assert before == fingerprint(folder)
     (tmp_path / "bag" / "a.db3-wal").unlink()
     assert fingerprint(file) != before
-
-
-def test_large_file_is_read_to_its_end(tmp_path: Path) -> None:
-    content = bytearray(3_000_000)
-    first = _write(tmp_path / "first", {"a.bag": bytes(content)})
-    content[-1] = 1
-    assert fingerprint(first) != fingerprint(_write(tmp_path / "second", {"a.bag": bytes(content)}))

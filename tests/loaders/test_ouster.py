@@ -78,8 +78,9 @@ def assert_same(scan: Scan, turn: Revolution) -> None:
     np.testing.assert_allclose(scan.points_sensor[order], points[expected], atol=1e-5)
 
 
-@pytest.mark.parametrize("name", ["a.bag", "sqlite", "mcap"])
-@pytest.mark.parametrize("profile", ["LEGACY", SINGLE, "RNG15_RFL8_NIR8"])
+@pytest.mark.parametrize(
+    ("name", "profile"), [("a.bag", "LEGACY"), ("sqlite", SINGLE), ("mcap", "RNG15_RFL8_NIR8")]
+)
 def test_points_come_back_to_the_millimetre_and_the_nanosecond(
     tmp_path: Path, name: str, profile: str
 ) -> None:
@@ -188,62 +189,47 @@ def test_two_sensors_have_frames_by_their_namespaces(tmp_path: Path) -> None:
     assert rig.horizontal.frame_id in ("left/os_sensor", "right/os_sensor")
 
 
-def test_the_drivers_clouds_go_before_the_packets(tmp_path: Path) -> None:
-    entries = [*entries_of(turns(3), metadata(SINGLE)), *clouds("/ouster/points", 3)]
-    lines = describe(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
-    assert [line for line in lines if line.startswith("lidar ")] == ["lidar /ouster/points"]
-    assert any(line.startswith(f"  {TOPIC}: ") and "/ouster/points" in line for line in lines)
+def test_clouds_of_the_driver_take_precedence_and_packets_of_the_imu_are_no_lidar(
+    tmp_path: Path,
+) -> None:
+    entries = entries_of(turns(3), metadata(SINGLE))
+    entries.append(packet_entry(bytes(48), START_NS, name="imu_packets"))
+    for more, lidar in (([], TOPIC), (clouds("/ouster/points", 3), "/ouster/points")):
+        path = write_bag(
+            tmp_path / f"{len(more)}.bag", sorted([*entries, *more], key=lambda entry: entry[1])
+        )
+        lines = describe(path)
+        assert [line for line in lines if line.startswith("lidar ")] == [f"lidar {lidar}"]
 
 
-def test_packets_of_the_imu_are_no_lidar(tmp_path: Path) -> None:
-    entries = [
-        *entries_of(turns(2), metadata(SINGLE)),
-        packet_entry(bytes(48), START_NS, name="imu_packets"),
-    ]
-    lines = describe(write_bag(tmp_path / "a.bag", sorted(entries, key=lambda entry: entry[1])))
-    assert [line for line in lines if line.startswith("lidar ")] == [f"lidar {TOPIC}"]
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        (None, "without the sensor's metadata on /ouster/metadata"),
+        ("", "no metadata of an Ouster"),
+        ('{"prod_line": 3}', "no metadata of an Ouster"),
+        ("no json", "no metadata of an Ouster"),
+        (metadata("LEGACY"), "3328 bytes, where by the metadata they have 3392"),
+    ],
+)
+def test_packets_without_their_metadata_are_refused(
+    tmp_path: Path, told: str | None, words: str
+) -> None:
+    _, *sent = entries_of(turns(2), metadata(SINGLE))
+    first = [] if told is None else [metadata_entry(told, START_NS - 1)]
+    with open_bag(write_bag(tmp_path / "a.bag", [*first, *sent])) as bag:
+        with pytest.raises(InputError, match=words) as found:
+            find_rig(bag)
+        assert "\n" not in str(found.value)
 
 
-def test_without_metadata_nothing_can_be_read(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "a.bag", entries_of(turns(2), metadata(SINGLE))[1:])
-    with open_bag(path) as bag, pytest.raises(InputError, match="/ouster/metadata") as found:
-        find_rig(bag)
-    assert TOPIC in str(found.value)
-    assert "\n" not in str(found.value)
-    assert any(line.startswith(f"  {TOPIC}: ") for line in describe(path))
-
-
-@pytest.mark.parametrize("told", ["", "{}", '{"prod_line": 3}', "no json"])
-def test_metadata_that_are_none(tmp_path: Path, told: str) -> None:
-    _, *sent = entries_of(turns(1), metadata(SINGLE))
-    path = write_bag(tmp_path / "a.bag", [metadata_entry(told, START_NS - 1), *sent])
-    with (
-        open_bag(path) as bag,
-        pytest.raises(InputError, match="no metadata of an Ouster") as found,
-    ):
-        find_rig(bag)
-    assert "\n" not in str(found.value)
-
-
-def test_metadata_of_another_sensor(tmp_path: Path) -> None:
-    _, *sent = entries_of(turns(2), metadata("LEGACY"))
-    path = write_bag(tmp_path / "a.bag", [metadata_entry(metadata(SINGLE), START_NS - 1), *sent])
-    with (
-        open_bag(path) as bag,
-        pytest.raises(InputError, match="3392 bytes, where by the metadata they have 3328"),
-    ):
-        find_rig(bag)
-
-
-@pytest.mark.parametrize("known", ["", "0.13.1", "2.0.0"])
-def test_without_the_decoder_it_is_said_how_to_install_it(
+@pytest.mark.parametrize("known", ["", "2.0.0"])
+def test_without_the_decoder_the_error_names_its_installation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known: str
 ) -> None:
     monkeypatch.setattr(ouster, "version", lambda name: known)
-    path = write_bag(tmp_path / "a.bag", entries_of(turns(2), metadata(SINGLE)))
     with (
-        open_bag(path) as bag,
-        pytest.raises(InputError, match="pip install --no-deps 'ouster-sdk") as found,
+        open_bag(write_bag(tmp_path / "a.bag", entries_of(turns(2), metadata(SINGLE)))) as bag,
+        pytest.raises(InputError, match=r"lidar_packets.*pip install --no-deps 'ouster-sdk"),
     ):
         find_rig(bag)
-    assert TOPIC in str(found.value)

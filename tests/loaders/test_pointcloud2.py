@@ -80,12 +80,9 @@ def test_coordinates_beyond_float32_are_invalid():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(read(cloud(points))) == 1435
-
-
-@pytest.mark.parametrize("size", [0, 5])
-def test_degenerate_clouds_give_an_empty_scan(size):
-    scan = read(cloud(np.full(size, np.nan, np.float32).astype(point_dtype(XYZ))))
-    assert (len(scan), scan.cloud_size) == (0, size)
+    for size in (0, 5):
+        scan = read(cloud(np.full(size, np.nan, np.float32).astype(point_dtype(XYZ))))
+        assert (len(scan), scan.cloud_size) == (0, size)
 
 
 def test_rows_and_columns_of_an_organised_cloud_are_rings():
@@ -122,8 +119,10 @@ def test_an_empty_field_of_times_hides_no_other(packets):
     assert np.abs(read(message).time_ns - true_ns).max() <= 1000
 
 
-@pytest.mark.parametrize("clockwise", [True, False])
-@pytest.mark.parametrize("layout", ["firing order", "ring by ring", "organised"])
+@pytest.mark.parametrize(
+    ("layout", "clockwise"),
+    [("firing order", True), ("firing order", False), ("ring by ring", True), ("organised", False)],
+)
 def test_times_from_the_azimuth(clockwise, layout):
     points = sweep(columns=200, clockwise=clockwise)
     true_ns = np.rint(points["time"].astype(np.float64) * 1e9).astype(np.int64)
@@ -174,13 +173,13 @@ def test_zero_row_step_and_zero_count_are_ignored():
     assert len(read(replace(message, row_step=0, fields=fields))) == 1440
 
 
-@pytest.mark.parametrize("padding", [0, 6])
-@pytest.mark.parametrize("height", [1, 16])
-@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize(
+    ("padding", "height", "big"), [(0, 1, False), (0, 16, True), (6, 16, False)]
+)
 def test_labels_are_appended_and_nothing_else_changes(padding, height, big):
     points = sweep(columns=12).astype(point_dtype(VELODYNE, big, gap=3))
     points["x"][5] = np.nan
-    message = cloud(points.reshape(height, -1), row_padding=padding if height > 1 else 0)
+    message = cloud(points.reshape(height, -1), row_padding=padding)
     scan = read(message)
     label = (np.arange(len(scan)) % 6).astype(np.uint8)
     full = full_labels(scan.cloud_size, scan.cloud_index, label)
@@ -202,9 +201,9 @@ def test_labels_are_appended_and_nothing_else_changes(padding, height, big):
     assert len(encode_labelled(empty, zeros[:0], zeros[:0]).data) == 0
 
 
-@pytest.mark.parametrize("big", [False, True])
 @pytest.mark.parametrize(
-    ("kind", "value", "unit"), [(None, 0, "s"), ("u4", 7, "ns"), ("f4", 0, "s")]
+    ("big", "kind", "value", "unit"),
+    [(False, None, 0, "s"), (True, "u4", 7, "ns"), (True, "f4", 0, "s")],
 )
 def test_parts_without_their_own_times_have_those_of_their_stamps(big, kind, value, unit):
     """Whole milliseconds are the same within a part; a field that is not filled is 0."""
@@ -226,24 +225,22 @@ def test_parts_without_their_own_times_have_those_of_their_stamps(big, kind, val
 
 PART_TIMES = {
     "seconds": ("time", "f4", 10**9, "part", "s"),
-    "milliseconds": ("time", "f4", 10**6, "part", "s"),
     "float nanoseconds": ("timestamp", "f8", 1, "part", "s"),
     "integer nanoseconds": ("t", "u4", 1, "part", "ns"),
     "integer microseconds": ("time", "u4", 10**3, "part", "ns"),
     "absolute seconds": ("timestamp", "f8", 10**9, "epoch", "s"),
-    "from the revolution's start, microseconds": ("time", "u4", 10**3, "revolution", "us"),
+    "revolution's start, microseconds": ("time", "u4", 10**3, "revolution", "us"),
     "own clock, microseconds": ("timestamp", "u4", 10**3, "own clock", "us"),
 }
 
 
-@pytest.mark.parametrize("big", [False, True])
 @pytest.mark.parametrize("name", PART_TIMES)
-def test_parts_of_a_revolution_keep_their_times(name, big):
+def test_parts_of_a_revolution_keep_their_times(name):
     field, kind, unit_ns, reference, unit = PART_TIMES[name]
     points = sweep(columns=900)
     true_ns = np.arange(len(points)) // 16 * 111_111
     start_ns = {"part": 0, "epoch": START_NS, "own clock": 1_234_567_000_000, "revolution": 0}
-    made = stored(points, [*XYZ, (field, kind)], big, **{field: 0})
+    made = stored(points, [*XYZ, (field, kind)], **{field: 0})
     parts = []
     for place in np.split(np.arange(len(points)), 75):
         since_ns = start_ns[reference] + true_ns[place]

@@ -87,25 +87,17 @@ def test_invalid_content(
         assert "a socket" in refused(lambda path: read(path, "give another"), path)
 
 
-@pytest.mark.parametrize(
-    "word",
-    [
-        "seed=99999999999999999999999",
-        "seed=-99999999999999999999999",
-        "seed=" + "9" * 100_000,
-        "odometry.points_max=99999999999",
-        "wall_planes.similarity_m=1e300",
-        "wall_planes.similarity_m=" + "[" * 100_000,
-        "grid_map.cell_m=1e-300",
-        "odometry.threads=2000000000",
-    ],
-    ids=lambda word: word[:30],
-)
-def test_a_setting_out_of_range(word: str) -> None:
-    assert word.partition("=")[0] in refused(lambda _: load_settings(None, [word]), Path())
-
-
 @pytest.mark.parametrize("value", ["1e300", "1e-300", "1e999", "9" * 100_000], ids=range(4))
 def test_a_resolution_out_of_range(value: str, tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text(f"image: map.png\nresolution: {value}\n")
     assert "map.yaml" in refused(read_map, tmp_path / "map.yaml")
+
+
+NINES = "9" * 100_000
+OUT_OF_RANGE = [f"seed={NINES}", "seed=-99999999999999999999999", "odometry.points_max=99999999999"]
+OUT_OF_RANGE += ["wall_planes.similarity_m=1e300", "wall_planes.similarity_m=" + "[" * 100_000]
+
+
+@pytest.mark.parametrize("word", OUT_OF_RANGE, ids=range(5))
+def test_a_setting_out_of_range(word: str) -> None:
+    assert word.partition("=")[0] in refused(lambda _: load_settings(None, [word]), Path())
