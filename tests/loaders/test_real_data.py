@@ -76,7 +76,7 @@ def test_packets_become_the_clouds_that_another_decoder_made():
         {
             "names": ["x", "y", "z"],
             "formats": ["<f4", "<f4", "<f4"],
-            "itemsize": 36,
+            "itemsize": 32,
         }
     )
     other = np.frombuffer(content.split(b"DATA binary\n", 1)[1], kind)
