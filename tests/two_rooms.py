@@ -1,33 +1,46 @@
-"""Two rooms with a wall and a door between them, seen by exact rays: a building whose maps are known."""
+"""Two rooms with a wall and a door between them, seen by exact rays."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.drive import Drive
-from ffmap.algorithms.building.model import BuildingSettings, Doors, Walls, Windows, one_door
+from ffmap.algorithms.building.model import (
+    NO_WINDOWS,
+    BuildingSettings,
+    Doors,
+    Walls,
+    Windows,
+    one_door,
+)
 from ffmap.algorithms.building.ray_evidence import trace_rays
-from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features, concatenate
+from tests.rasters import moved
 from tests.tracing import rays_alone
+from tests.voting import vote
 
 CEILING_M = 2.6
 HEAD_M = 2.05
 JAMBS_X = (1.5, 2.4)
 SIZE_M = (4.0, 3.0)
+Span = tuple[float, float]
+Panel = tuple[FloatArray, Span]
 
 
 @dataclass(frozen=True)
 class TwoRooms:
-    """Room A is [0, 4] × [0, 3], room B the same behind a wall; B's rays are left out unless both are seen.
+    """Room A is [0, 4] × [0, 3], room B the same behind a wall.
 
-    closed: the leaf stands 4 cm behind A's face. turn_deg, shift: of the whole in the map. pillar: 40 × 20 cm before A's
-    western wall. leaf_deg: where an open leaf stands, hung at the western jamb. glass: heights between which the
-    southern wall of A has a pane that returns nothing, from x = 1 to 2, with reveals of 30 cm; so far outside is a wall.
+    closed: the leaf is 4 cm behind A's face. both_seen: whether rays of B are included. turn_deg,
+    shift: of the whole in the map. pillar: 40 × 20 cm before A's western wall. leaf_deg: of an open
+    leaf, hinged at the western jamb. glass: heights of a pane that returns nothing, in the southern
+    wall of A from x = 1 to 2, with reveals of 30 cm; outside_m beyond is a wall. more: further
+    panels.
     """
 
     thickness_m: float = 0.2
@@ -37,69 +50,63 @@ class TwoRooms:
     shift: tuple[float, float] = (0.0, 0.0)
     pillar: bool = False
     leaf_deg: float | None = None
-    glass: tuple[float, float] | None = None
+    glass: Span | None = None
     outside_m: float = 1.5
-    more: tuple[tuple[FloatArray, tuple[float, float]], ...] = field(default=())
+    more: tuple[Panel, ...] = ()
 
     def to_map(self, places: FloatArray) -> FloatArray:
-        c, s = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))
-        return np.asarray(places, float) @ np.array([[c, s], [-s, c]]) + np.array(self.shift)
+        return moved(np.asarray(places, float), self.turn_deg, self.shift)
 
     def to_rooms(self, places: FloatArray) -> FloatArray:
-        c, s = np.cos(np.radians(self.turn_deg)), np.sin(np.radians(self.turn_deg))
-        return (np.asarray(places, float) - np.array(self.shift)) @ np.array([[c, -s], [s, c]])
+        return moved(np.asarray(places, float) - self.shift, -self.turn_deg, (0.0, 0.0))
 
     @property
     def faces(self) -> list[tuple[FloatArray, FloatArray]]:
         """Ends and normal of each wall face, unbroken by the door, as the building fuses them."""
         (x, y), t = SIZE_M, self.thickness_m
-        a = [
-            ([[0, 0], [0, y]], [1, 0]),
-            ([[x, 0], [x, y]], [-1, 0]),
-            ([[0, 0], [x, 0]], [0, 1]),
-            ([[0, y], [x, y]], [0, -1]),
-        ]
-        b = [
-            ([[0, y + t], [0, 2 * y]], [1, 0]),
-            ([[x, y + t], [x, 2 * y]], [-1, 0]),
-            ([[0, y + t], [x, y + t]], [0, 1]),
-            ([[0, 2 * y], [x, 2 * y]], [0, -1]),
-        ]
-        return [(np.array(e, float), np.array(n, float)) for e, n in (a + b if self.both_seen else a)]
+        found = []
+        for south, north in ((0, y), (y + t, 2 * y))[: 1 + self.both_seen]:
+            found += [
+                ([[0, south], [0, north]], [1, 0]),
+                ([[x, south], [x, north]], [-1, 0]),
+                ([[0, south], [x, south]], [0, 1]),
+                ([[0, north], [x, north]], [0, -1]),
+            ]
+        return [(np.array(ends, float), np.array(normal, float)) for ends, normal in found]
 
     @property
-    def panels(self) -> list[tuple[FloatArray, tuple[float, float]]]:
-        """What stops rays: segments with the heights between which they stand."""
+    def panels(self) -> list[Panel]:
+        """What stops rays: segments with the heights between which they are."""
         (x, y), t, (left, right) = SIZE_M, self.thickness_m, JAMBS_X
-        whole = (0.0, CEILING_M)
-        panels = [(ends, whole) for ends, _ in self.faces if ends[0, 1] == ends[1, 1] and ends[0, 1] not in (y, y + t)]
-        panels += [(ends, whole) for ends, _ in self.faces if ends[0, 0] == ends[1, 0]]
-        if not self.both_seen:
-            panels += [(np.array([[0, 2 * y], [x, 2 * y]]), whole), (np.array([[0, y], [0, 2 * y]]), whole)]
-            panels += [(np.array([[x, y], [x, 2 * y]]), whole)]
-        for side in (y, y + t):
-            panels += [(np.array([[0, side], [left, side]]), whole), (np.array([[right, side], [x, side]]), whole)]
-            panels += [(np.array([[left, side], [right, side]]), (HEAD_M, CEILING_M))]
-        panels += [(np.array([[jamb, y], [jamb, y + t]]), whole) for jamb in JAMBS_X]
+        sides = [[[0, 0], [0, 2 * y]], [[x, 0], [x, 2 * y]], [[0, 2 * y], [x, 2 * y]]]
+        sides += [[[jamb, y], [jamb, y + t]] for jamb in JAMBS_X]
+        lintels = []
+        for face in (y, y + t):
+            sides += [[[0, face], [left, face]], [[right, face], [x, face]]]
+            lintels.append([[left, face], [right, face]])
+        panels = [(side, (0.0, CEILING_M)) for side in [*sides, *self._southern_wall]]
+        panels += [(lintel, (HEAD_M, CEILING_M)) for lintel in lintels]
         if self.closed:
-            panels += [(np.array([[left, y + 0.04], [right, y + 0.04]]), (0.0, HEAD_M))]
+            panels.append(([[left, y + 0.04], [right, y + 0.04]], (0.0, HEAD_M)))
         if self.pillar:
-            corners = np.array([[0, 1.0], [0.2, 1.0], [0.2, 1.4], [0, 1.4]])
-            panels += [(corners[i : i + 2], whole) for i in range(3)]
+            corners = [[0, 1.0], [0.2, 1.0], [0.2, 1.4], [0, 1.4]]
+            panels += [(list(ends), (0.0, CEILING_M)) for ends in pairwise(corners)]
         if self.leaf_deg is not None:
-            angle = np.radians(self.leaf_deg)
-            hinge = np.array([left, y + t])
-            tip = hinge + (right - left) * np.array([np.cos(angle), np.sin(angle)])
-            panels += [(np.stack([hinge, tip]), (0.0, HEAD_M - 0.02))]
+            (tip,) = moved(np.array([[right - left, 0.0]]), self.leaf_deg, (left, y + t))
+            panels.append(([[left, y + t], tip], (0.0, HEAD_M - 0.02)))
         if self.glass is not None:
-            south = [i for i, (ends, _) in enumerate(panels) if (ends[:, 1] == 0).all() and ends[1, 0] == x]
-            panels.pop(south[0])
-            panels += [(np.array([[a, 0], [b, 0]], float), whole) for a, b in ((0, 1), (2, x))]
-            panels += [(np.array([[1, 0], [2, 0]], float), (0.0, self.glass[0]))]
-            panels += [(np.array([[1, 0], [2, 0]], float), (self.glass[1], CEILING_M))]
-            panels += [(np.array([[side, 0], [side, -0.3]], float), self.glass) for side in (1, 2)]
-            panels += [(np.array([[-2, -self.outside_m], [6, -self.outside_m]], float), whole)]
-        return [*panels, *self.more]
+            pane, (low_m, high_m) = [[1, 0], [2, 0]], self.glass
+            panels += [(pane, (0.0, low_m)), (pane, (high_m, CEILING_M))]
+            panels += [([[side, 0], [side, -0.3]], self.glass) for side in (1, 2)]
+        return [*((np.array(ends, float), span) for ends, span in panels), *self.more]
+
+    @property
+    def _southern_wall(self) -> list[list[list[float]]]:
+        x, _ = SIZE_M
+        if self.glass is None:
+            return [[[0, 0], [x, 0]]]
+        outside = [[-2, -self.outside_m], [6, -self.outside_m]]
+        return [[[0, 0], [1, 0]], [[2, 0], [x, 0]], outside]
 
     @property
     def window(self) -> Windows:
@@ -139,14 +146,13 @@ class TwoRooms:
     @property
     def walls(self) -> Walls:
         ends = np.array([self.to_map(e) for e, _ in self.faces])
-        origin = self.to_map(np.zeros((1, 2)))
-        normal = np.array([self.to_map(n[None])[0] - origin[0] for _, n in self.faces])
+        normal = moved(np.array([n for _, n in self.faces]), self.turn_deg, (0.0, 0.0))
         count = len(ends)
         return Walls(
             ends,
             normal,
             np.zeros(count),
-            np.full(count, 2.6),
+            np.full(count, CEILING_M),
             np.full(count, 5, np.int32),
             np.full(count, 0.01),
             np.full(count, 900),
@@ -172,20 +178,18 @@ class TwoRooms:
             reveal_m=self.thickness_m,
         )
 
-    def build(self, doors: Doors | None = None, windows: Windows | None = None) -> tuple[Immobile, Drive]:
+    def build(
+        self, doors: Doors | None = None, windows: Windows | None = None
+    ) -> tuple[Immobile, Drive]:
         """What the grid is drawn from."""
         features = self.scans()
-        votes = VoxelTable(0.05, len(Label))
-        votes.add(features.ray_end_map, features.ray_label)
-        none = np.zeros(0)
+        votes = vote(features.ray_end_map, features.ray_label, len(Label), 0.05)
         immobile = Immobile(
             walls=self.walls,
             cells=trace_rays(both_sides(self.walls), [features], BuildingSettings()),
-            votes=votes.votes(),
-            doors=doors if doors is not None else self.doors,
-            windows=windows
-            if windows is not None
-            else Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), none, none, none),
+            votes=votes,
+            doors=self.doors if doors is None else doors,
+            windows=NO_WINDOWS if windows is None else windows,
         )
         return immobile, Drive(features.origin_map, lambda: [features])
 
