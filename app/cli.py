@@ -7,16 +7,18 @@ import errno
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer import Argument, Option
 
 from ffmap.app import parameters as shared
-from ffmap.app.quick_imports import quick_imports
 from ffmap.app.setup.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Detail, Output, parse_outputs
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
+
+if TYPE_CHECKING:
+    from ffmap.app.setup.options import RunOptions
 
 app = typer.Typer(
     name="ffmap",
@@ -52,18 +54,17 @@ def _options(
     pass
 
 
-def _rig_file(rig: Path | None) -> Path | None:
-    """The file of --rig, which may be the name of a built-in rig."""
-    from ffmap.loaders.rig_file import rig_path
+def _run_options(context: typer.Context, **others: Any) -> "RunOptions":  # noqa: ANN401
+    """Return the options of a run, by their names: those of the command, and others."""
+    from ffmap.app.setup.options import RunOptions
 
-    return rig_path(rig) if rig is not None else None
+    return RunOptions.model_validate(context.params | others)
 
 
 @app.command()
 def run(
-    bag: Annotated[
-        list[Path] | None, Argument(metavar="BAG", show_default=False, help=shared.BAG_HELP)
-    ] = None,
+    context: typer.Context,
+    bag: Annotated[list[Path] | None, shared.BAG] = None,
     rig: shared.Rig = None,
     horizontal: shared.Horizontal = None,
     vertical: shared.Vertical = None,
@@ -86,10 +87,7 @@ def run(
             "[default: open]"
         ),
     ] = None,
-    detail: Annotated[
-        Detail,
-        Option(help="Detail of the recording: all intermediates, labels of scans, or the map."),
-    ] = Detail.LINES,
+    detail: shared.Detail = Detail.LINES,
     spawn: Annotated[
         bool, Option("--spawn", help="Open the Rerun viewer and show the run live.")
     ] = False,
@@ -97,20 +95,9 @@ def run(
         str | None, Option(help="Send to a running viewer, e.g. rerun+http://127.0.0.1:9876/proxy.")
     ] = None,
     save: Annotated[bool, Option(help="Write recording.rrd.")] = True,
-    outputs: Annotated[
-        str | None,
-        Option(metavar="LIST", help=f"{shared.OUTPUTS_HELP}  [default: {','.join(RUN_OUTPUTS)}]"),
-    ] = None,
-    workers: Annotated[
-        int | None, Option(min=1, help="Labelling processes.  [default: one per core]")
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        Option(
-            metavar="tcp://HOST:PORT",
-            help="Label on the Dask cluster of this scheduler. Requires the extra 'cluster'.",
-        ),
-    ] = None,
+    outputs: shared.Outputs = shared.RUN_OUTPUTS,
+    workers: shared.Workers = shared.CORES,
+    scheduler: shared.Scheduler = None,
     resume: Annotated[
         Path | None,
         Option(help="Folder of a killed run to continue. Requires no other argument."),
@@ -124,49 +111,27 @@ def run(
 
     Examples:
 
-        ffmap run drive.bag
-
-        ffmap run drive.mcap --out runs/a --set wall_planes.similarity_m=0.04 --spawn
-
-        ffmap run drive.bag --rig rig.toml --trajectory poses.tum
-
-        ffmap run drive_0.bag drive_1.bag drive_2.bag
-
-        ffmap run drive.bag --vertical /left/points --vertical /right/points
-
-        ffmap run --resume runs/a
-
-        ffmap run day.mcap --scheduler tcp://127.0.0.1:8786
+    ```
+    ffmap run drive.bag
+    ffmap run drive.mcap --out runs/a --set wall_planes.similarity_m=0.04 --spawn
+    ffmap run drive.bag --rig rig.toml --trajectory poses.tum
+    ffmap run drive_0.bag drive_1.bag drive_2.bag
+    ffmap run drive.bag --vertical /left/points --vertical /right/points
+    ffmap run --resume runs/a
+    ffmap run day.mcap --scheduler tcp://127.0.0.1:8786
+    ```
     """
     from ffmap.app.run.workers import start_server
 
     written = parse_outputs(outputs, RUN_OUTPUTS)
-    workers = workers or os.cpu_count() or 1
+    if not save:
+        written = tuple(output for output in written if output is not Output.RECORDING)
     if workers > 1:
         start_server()
-    with quick_imports():
-        from ffmap.app.commands import run as command
-        from ffmap.app.setup.options import RunOptions
-        from ffmap.app.setup.settings import load_settings
+    from ffmap.app.commands import run as command
+    from ffmap.app.setup.settings import load_settings
 
-    options = RunOptions(
-        rig=_rig_file(rig),
-        horizontal=horizontal,
-        vertical=tuple(vertical or ()),
-        time_from=time_from,
-        trajectory=trajectory,
-        trajectory_frame=trajectory_frame,
-        mount=mount,
-        detail=detail,
-        outputs=tuple(output for output in written if save or output is not Output.RECORDING),
-        evaluate=evaluate,
-        workers=workers,
-        scheduler=scheduler,
-        connect=connect,
-        spawn=spawn,
-        quiet=quiet,
-        verbose=verbose,
-    )
+    options = _run_options(context, outputs=written)
     overrides = [*(set_ or ()), *([f"grid_map.doors={doors}"] if doors else [])]
     if resume is not None:
         if bag or out or config or overrides or overwrite:
@@ -194,14 +159,12 @@ def info(
 ) -> None:
     """Print topics, rates, layouts, time stamps, frames, roles of lidars, gaps, missing data.
 
-    Example:
-
-        ffmap info drive.bag
+    Example: `ffmap info drive.bag`
     """
     from ffmap.app.commands.info import describe
 
     path, verticals = BagPath(tuple(bag)), tuple(vertical or ())
-    for line in describe(path, _rig_file(rig), horizontal, verticals, time_from):
+    for line in describe(path, rig, horizontal, verticals, time_from):
         typer.echo(line)
 
 
@@ -218,9 +181,10 @@ def rigs(
 
     Examples:
 
-        ffmap rigs
-
-        ffmap rigs mars > my.toml
+    ```
+    ffmap rigs
+    ffmap rigs mars > my.toml
+    ```
     """
     from ffmap.app.tables import make_table, table_console
     from ffmap.loaders.rig_file import built_in_path, built_in_rigs
@@ -242,6 +206,7 @@ def rigs(
 
 @app.command()
 def calibrate(
+    context: typer.Context,
     bag: shared.Bag,
     rig: shared.Rig = None,
     horizontal: shared.Horizontal = None,
@@ -273,31 +238,21 @@ def calibrate(
 
     Examples:
 
-        ffmap calibrate drive.bag
-
-        ffmap calibrate drive.bag --rig guess.toml --out rig.toml --recording calibration.rrd
-
-        ffmap calibrate drive.bag --vertical /left/points
-
-        ffmap calibrate drive.bag --from-motion --horizontal /top/points --vertical /side/points
+    ```
+    ffmap calibrate drive.bag
+    ffmap calibrate drive.bag --rig guess.toml --out rig.toml --recording calibration.rrd
+    ffmap calibrate drive.bag --vertical /left/points
+    ffmap calibrate drive.bag --from-motion --horizontal /top/points --vertical /side/points
+    ```
     """
     from ffmap.app.run.workers import start_server
 
     start_server()
-    with quick_imports():
-        from ffmap.app.commands import calibrate as command
-        from ffmap.app.setup.options import RunOptions
+    from ffmap.app.commands import calibrate as command
 
-    options = RunOptions(
-        rig=_rig_file(rig),
-        horizontal=horizontal,
-        vertical=tuple(vertical or ()),
-        time_from=time_from,
-        quiet=quiet,
-    )
     path = BagPath(tuple(bag))
     out = out or path.parts[0].with_name(f"{path.stem}.rig.toml")
-    command.calibrate(path, options, out, recording, seconds, from_motion)
+    command.calibrate(path, _run_options(context), out, recording, seconds, from_motion)
 
 
 @app.command()
@@ -313,9 +268,7 @@ def simulate(
             "dwelling, workplace, institution."
         ),
     ] = "office",
-    seed: Annotated[
-        int, Option(min=0, help="Seed of building, furniture and drive.")
-    ] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of building, furniture and drive.")] = 0,
     sensor: Annotated[
         str | None,
         Option(help="hdl32e, vlp16, os1-16, os0-128, qt64, xt32, mid360.  [default: hdl32e]"),
@@ -329,9 +282,7 @@ def simulate(
     ] = None,
     layout: Annotated[
         str,
-        Option(
-            help="plain, or the layout of a public data set that 'ffmap rigs' lists."
-        ),
+        Option(help="plain, or the layout of a public data set that 'ffmap rigs' lists."),
     ] = "plain",
     format_: Annotated[str, Option("--format", help="bag (ROS 1), mcap or db3 (ROS 2).")] = "bag",
     duration: Annotated[float, Option(min=1.0, help="Seconds of driving.")] = 60.0,
@@ -348,15 +299,13 @@ def simulate(
 
     Examples:
 
-        ffmap simulate office.bag --building office --seed 3 --duration 60
-
-        ffmap simulate angled --building angled --sensor vlp16 --format mcap
-
-        ffmap simulate one.bag --sensor os0-128 --lidars one
-
-        ffmap simulate three.bag --lidars three
-
-        ffmap simulate viral.bag --layout ntu_viral
+    ```
+    ffmap simulate office.bag --building office --seed 3 --duration 60
+    ffmap simulate angled --building angled --sensor vlp16 --format mcap
+    ffmap simulate one.bag --sensor os0-128 --lidars one
+    ffmap simulate three.bag --lidars three
+    ffmap simulate viral.bag --layout ntu_viral
+    ```
     """
     from ffmap.app.commands import simulate as command
 
@@ -383,9 +332,7 @@ def evaluate(
             "poses.  [default: the bag of the run]"
         ),
     ] = None,
-    workers: Annotated[
-        int | None, Option(min=1, help="Processes.  [default: one per core]")
-    ] = None,
+    workers: shared.Workers = shared.CORES,
 ) -> None:
     """Compare a run with the ground truth and write metrics.json.
 
@@ -393,19 +340,18 @@ def evaluate(
 
     Examples:
 
-        ffmap evaluate runs/latest
-
-        ffmap evaluate runs/a --truth drive.bag
+    ```
+    ffmap evaluate runs/latest
+    ffmap evaluate runs/a --truth drive.bag
+    ```
     """
     from ffmap.app.run.workers import start_server
 
-    workers = workers or os.cpu_count() or 1
     if workers > 1:
         start_server()
-    with quick_imports():
-        from ffmap.app.analysis.evaluation import evaluate_run
-        from ffmap.app.analysis.metrics_tables import print_metrics
-        from ffmap.app.folder.finished_run import open_run
+    from ffmap.app.analysis.evaluation import evaluate_run
+    from ffmap.app.analysis.metrics_tables import print_metrics
+    from ffmap.app.folder.finished_run import open_run
 
     bag = BagPath(tuple(truth)) if truth else None
     print_metrics(evaluate_run(open_run(run_folder), bag, workers))
@@ -416,9 +362,7 @@ def inspect(
     run_folder: shared.RunFolder,
     scan: Annotated[
         str,
-        Option(
-            help="Number of the scan, or 'worst': the scan with most wrong or changed labels."
-        ),
+        Option(help="Number of the scan, or 'worst': the scan with most wrong or changed labels."),
     ],
     line: Annotated[
         int | None,
@@ -442,9 +386,10 @@ def inspect(
 
     Examples:
 
-        ffmap inspect runs/latest --scan worst
-
-        ffmap inspect runs/a --scan 120 --line 37 --spawn
+    ```
+    ffmap inspect runs/latest --scan worst
+    ffmap inspect runs/a --scan 120 --line 37 --spawn
+    ```
     """
     from ffmap.app.commands import inspect as command
 
@@ -478,9 +423,10 @@ def compare(
 
     Examples:
 
-        ffmap compare runs/a runs/b
-
-        ffmap compare runs/a runs/b runs/c -o comparisons/walls --spawn
+    ```
+    ffmap compare runs/a runs/b
+    ffmap compare runs/a runs/b runs/c -o comparisons/walls --spawn
+    ```
     """
     from ffmap.app.commands import compare as command
 
@@ -489,6 +435,7 @@ def compare(
 
 @app.command()
 def sweep(
+    context: typer.Context,
     bags: Annotated[
         list[Path],
         Argument(
@@ -530,35 +477,17 @@ def sweep(
     ] = None,
     objective: Annotated[
         str,
-        Option(
-            help="Figure by which runs are ranked, and which --optuna optimizes."
-        ),
+        Option(help="Figure by which runs are ranked, and which --optuna optimizes."),
     ] = "wall.f1",
-    seed: Annotated[
-        int, Option(min=0, help="Seed of --random and --optuna.")
-    ] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of --random and --optuna.")] = 0,
     out: Annotated[
         Path | None,
         Option(help="Folder of the runs and of sweep.csv.  [default: runs/sweep-BAG]"),
     ] = None,
-    detail: Annotated[
-        Detail, Option(help="Detail of each recording; see 'ffmap run'.")
-    ] = Detail.MAP,
-    outputs: Annotated[
-        str | None,
-        Option(metavar="LIST", help=f"{shared.OUTPUTS_HELP}  [default: {','.join(SWEEP_OUTPUTS)}]"),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        Option(min=1, help="Runs at once, one thread each.  [default: one per core]"),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        Option(
-            metavar="tcp://HOST:PORT",
-            help="Run on the Dask cluster of this scheduler. Requires the extra 'cluster'.",
-        ),
-    ] = None,
+    detail: shared.Detail = Detail.MAP,
+    outputs: shared.Outputs = shared.SWEEP_OUTPUTS,
+    workers: shared.Workers = shared.CORES,
+    scheduler: shared.Scheduler = None,
 ) -> None:
     """Run with many combinations of settings and rank them in sweep.csv.
 
@@ -566,31 +495,16 @@ def sweep(
 
     Examples:
 
-        ffmap sweep drive.bag --grid wall_planes.similarity_m=0.03,0.05 --grid doors.lines_min=2,3
-
-        ffmap sweep a.bag b.bag --grid wall_planes.similarity_m=0.02..0.1 --optuna 30
-
-        ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
+    ```
+    ffmap sweep drive.bag --grid wall_planes.similarity_m=0.03,0.05 --grid doors.lines_min=2,3
+    ffmap sweep a.bag b.bag --grid wall_planes.similarity_m=0.02..0.1 --optuna 30
+    ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
+    ```
     """
     from ffmap.app.commands import sweep as command
-    from ffmap.app.setup.options import RunOptions
     from ffmap.app.setup.settings import load_settings
 
-    options = RunOptions(
-        rig=_rig_file(rig),
-        horizontal=horizontal,
-        vertical=tuple(vertical or ()),
-        time_from=time_from,
-        trajectory=trajectory,
-        trajectory_frame=trajectory_frame,
-        mount=mount,
-        detail=detail,
-        outputs=parse_outputs(outputs, SWEEP_OUTPUTS),
-        evaluate=evaluate,
-        workers=workers or os.cpu_count() or 1,
-        scheduler=scheduler,
-        quiet=quiet,
-    )
+    options = _run_options(context, outputs=parse_outputs(outputs, SWEEP_OUTPUTS))
     search = command.Search(tuple(grid or ()), random, optuna, objective, seed)
     if command.sweep(bags, load_settings(config, set_ or ()), options, search, out):
         sys.exit(1)
@@ -626,9 +540,10 @@ def runs(
 
     Examples:
 
-        ffmap runs runs/sweep-drive --where "wall.f1>0.98" --where doors.lines_min=2 --sort seconds
-
-        ffmap runs --columns started,wall.f1,door.f1 --sort wall.f1
+    ```
+    ffmap runs runs/sweep-drive --where "wall.f1>0.98" --where doors.lines_min=2 --sort seconds
+    ffmap runs --columns started,wall.f1,door.f1 --sort wall.f1
+    ```
     """
     from ffmap.app.commands import runs as command
 
@@ -655,11 +570,11 @@ def view(
 
     Examples:
 
-        ffmap view runs/latest
-
-        ffmap view runs/a runs/b
-
-        ffmap view --web runs/latest
+    ```
+    ffmap view runs/latest
+    ffmap view runs/a runs/b
+    ffmap view --web runs/latest
+    ```
     """
     from ffmap.app.commands import view as command
 
@@ -679,23 +594,16 @@ def rooms(
     resolution: Annotated[
         float | None, Option(help="Size of a pixel in metres; required for an image without YAML.")
     ] = None,
-    out: Annotated[
-        Path | None, Option(help="Output folder.  [default: rooms/<map>]")
-    ] = None,
+    out: Annotated[Path | None, Option(help="Output folder.  [default: rooms/<map>]")] = None,
     truth: Annotated[
         Path | None,
         Option(
             help="Image of the true rooms, white and separated by lines; prints recall, precision."
         ),
     ] = None,
-    doors: Annotated[
-        Path | None, Option(help="Known doors, e.g. doors.geojson of a run.")
-    ] = None,
+    doors: Annotated[Path | None, Option(help="Known doors, e.g. doors.geojson of a run.")] = None,
     config: shared.Config = None,
-    set_: Annotated[
-        list[str] | None,
-        Option("--set", help="One setting, as in area_graph.opening_ratio=0.4; repeatable."),
-    ] = None,
+    set_: shared.Set = None,
 ) -> None:
     """Segment any grid map into rooms: outlines, areas and passages.
 
@@ -705,13 +613,12 @@ def rooms(
 
     Examples:
 
-        ffmap rooms map.yaml
-
-        ffmap rooms floor.png --resolution 0.05 --truth floor_rooms.png
-
-        ffmap rooms ipa_room_segmentation/test_maps --resolution 0.05
-
-        ffmap rooms slam.yaml --set area_graph.furniture_max_m=0
+    ```
+    ffmap rooms map.yaml
+    ffmap rooms floor.png --resolution 0.05 --truth floor_rooms.png
+    ffmap rooms ipa_room_segmentation/test_maps --resolution 0.05
+    ffmap rooms slam.yaml --set area_graph.furniture_max_m=0
+    ```
     """
     from ffmap.app.commands import rooms as command
 
@@ -719,19 +626,10 @@ def rooms(
 
 
 @app.command()
-def settings(
-    config: Annotated[
-        Path | None, Option(help="Settings to print instead of the defaults.")
-    ] = None,
-    set_: Annotated[
-        list[str] | None, Option("--set", help="One setting, as in doors.recess_min_m=0.03.")
-    ] = None,
-) -> None:
+def settings(config: shared.Config = None, set_: shared.Set = None) -> None:
     """Print every setting with its value, unit, meaning and paper section, as TOML for --config.
 
-    Example:
-
-        ffmap settings > mine.toml
+    Example: `ffmap settings > mine.toml`
     """
     from ffmap.app.setup.settings import as_toml, load_settings
 
