@@ -1,6 +1,5 @@
 """The program: `cli` parses, `commands` holds one file per command.
 
 Each folder uses only those before it: `setup` (settings and inputs), `folder` (files of a run),
-`record` (the Rerun recording), `run` (stages of a run), `analysis` (finished runs), `sweeps`,
-`commands`.
+`record` (the Rerun recording), `run` (stages of a run), `analysis` (finished runs), `commands`.
 """

@@ -76,7 +76,7 @@ def carry_out(run: Run) -> dict[str, Any]:
     def result_of(outcome: str) -> dict[str, Any]:
         seconds = dict(report.seconds) if report else {}
         seconds["total"] = time.perf_counter() - started
-        if options.workers == 1:
+        if options.workers == 1 and options.scheduler is None:
             # All of it was the work of this process, whatever else the machine did.
             seconds["cpu"] = time.process_time() - cpu
         return {

@@ -5,13 +5,14 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
+from rich.measure import Measurement
+from rich.table import Table
 
 from ffmap.app.analysis.figures import FIGURES, HEADLINES, find_name, read_figures
 from ffmap.app.folder.names import RUN_JSON, RunFolder
@@ -84,22 +85,15 @@ def find_runs(root: Path) -> list[Path]:
     """
     if not root.is_dir():
         raise InputError(f"{root}: is no folder; give a folder of runs")
-    found = sorted(_runs_below(root, _DEPTH))
+    found = []
+    for folder, inner, files in os.walk(root):
+        if RUN_JSON in files:
+            found.append(Path(folder))
+        if RUN_JSON in files or len(Path(folder).relative_to(root).parts) == _DEPTH:
+            inner.clear()
     if not found:
         raise InputError(f"{root}: holds no runs; 'ffmap run' and 'ffmap sweep' make some")
-    return found
-
-
-def _runs_below(folder: Path, depth: int) -> Iterator[Path]:
-    if (folder / RUN_JSON).is_file():
-        yield folder
-    elif depth:
-        try:
-            inner = [path for path in folder.iterdir() if path.is_dir() and not path.is_symlink()]
-        except PermissionError:
-            return
-        for path in inner:
-            yield from _runs_below(path, depth - 1)
+    return sorted(found)
 
 
 def _read(folders: Sequence[Path]) -> Iterator[ListedRun]:
@@ -175,27 +169,34 @@ def _print(
 ) -> None:
     """Print the table: on a terminal as many columns as fit, else one whole line for each run."""
     console = Console()
-    narrow = console.is_terminal
-    folders = [os.path.relpath(run.folder.resolve(), root) for run in listed]
-    columns = {
-        re.sub(r"([._])", r"\1\n", name) if narrow else name: [
-            format_value(run.values.get(name)) for run in listed
-        ]
-        for name in chosen
-    }
-    shown = list(columns)
-    if not narrow:
+    if not console.is_terminal:
         console = Console(width=_WIDE)
-    elif not all_columns:
-        room = console.width - min(max(map(len, folders), default=0), console.width // 2) - 4
-        ends = accumulate(
-            3 + max(map(len, (*heading.split("\n"), *cells))) for heading, cells in columns.items()
-        )
-        shown = [heading for heading, end in zip(columns, ends, strict=True) if end <= room]
-    rows = zip(folders, *(columns[heading] for heading in shown), strict=True)
-    table = make_table(None, ("run", *shown), (map(escape, row) for row in rows))
-    table.columns[0].max_width = console.width // 2
+    wide = console.options.update(width=_WIDE)
+    shown = list(chosen)
+    table = _table(console, listed, shown, root)
+    while (
+        not all_columns and shown and Measurement.get(console, wide, table).maximum > console.width
+    ):
+        shown.pop()
+        table = _table(console, listed, shown, root)
     console.print(table)
     typer.echo(f"{len(listed)} {'run' if len(listed) == 1 else 'runs'} in {root}")
     if left_out := chosen[len(shown) :]:
         typer.echo(f"not shown, for want of room: {', '.join(left_out)}; --columns chooses")
+
+
+def _table(
+    console: Console, listed: Sequence[ListedRun], columns: Sequence[str], root: Path
+) -> Table:
+    rows = [
+        (
+            escape(os.path.relpath(run.folder.resolve(), root)),
+            *(escape(format_value(run.values.get(name))) for name in columns),
+        )
+        for run in listed
+    ]
+    # On a terminal, headings are folded at the dots and underscores of names.
+    headings = [re.sub(r"([._])", r"\1\n", n) if console.is_terminal else n for n in columns]
+    table = make_table(None, ("run", *headings), rows)
+    table.columns[0].max_width = console.width // 2
+    return table

@@ -2,18 +2,20 @@
 
 import csv
 import hashlib
+import itertools
 import json
 import os
 import statistics
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import typer
 
 from ffmap.app.analysis.figures import FIGURES, HEADLINES, WITHOUT_TRUTH, find_name, read_figures
@@ -21,26 +23,36 @@ from ffmap.app.commands.runs import runs as list_runs
 from ffmap.app.compiled_code import compiled_code
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.names import METRICS, SWEEP_TABLE, RunFolder, require_writable
-from ffmap.app.own_command import own_command
+from ffmap.app.own_command import own_command, pip_command
 from ffmap.app.progress import Progress
 from ffmap.app.run.workers import ENVIRONMENT
 from ffmap.app.setup.inputs import find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Output
-from ffmap.app.setup.settings import Settings
+from ffmap.app.setup.settings import Settings, load_settings
 from ffmap.app.setup.versions import versions
-from ffmap.app.sweeps import plan
-from ffmap.app.sweeps.plan import Combination
 from ffmap.app.tables import format_value
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.truth import carries_truth
 
+Combination = Mapping[str, Any]
+"""A value for each searched setting, by its dotted name."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A setting and its `values`, or the ends of a range; in a range of integers, only integers."""
+
+    name: str
+    values: tuple[Any, ...]
+    is_range: bool = False
+
 
 @dataclass(frozen=True)
 class Search:
-    """Combinations that are tried: all of the grid, or a number that is drawn or proposed.
+    """Combinations to try: all of the grid, N random ones, or N that Optuna proposes.
 
     objective: the figure by which runs are ranked.
     """
@@ -60,7 +72,6 @@ class SweepRun:
     bag: Path
     command: list[str]
     combination: Combination
-    reused: bool = False
     error: str | None = None
     figures: dict[str, float] = field(default_factory=dict)
 
@@ -85,8 +96,8 @@ def sweep(
     """
     if search.random is not None and search.optuna is not None:
         raise InputError("--random and --optuna: choose one of them")
-    searched = search.random is not None or search.optuna is not None
-    parameters = plan.parse_grid(search.grid, ranges=searched)
+    ranges = search.random is not None or search.optuna is not None
+    parameters = parse_grid(search.grid, ranges)
     inputs = [find_inputs(path, options) for path in dict.fromkeys(p.resolve() for p in paths)]
     bags = [own.bag_path for own in inputs]
     truth = options.evaluate and all(map(carries_truth, bags))
@@ -95,39 +106,27 @@ def sweep(
     objective = _objective(search.objective, truth or search.optuna is None)
     out = (out or Path("runs") / f"sweep-{bags[0].stem}").resolve()
     require_writable(out, "give another folder to --out")
-    study = None
-    if search.optuna is not None:
-        study = plan.Study(parameters, search.seed, objective)
+    if options.scheduler is not None:
+        from ffmap.app.run.cluster import connect
+
+        # Each run connects by itself; a mistake is reported before.
+        with connect(options.scheduler, [out, *(part for bag in bags for part in bag.parts)]):
+            pass
     runs: dict[Path, SweepRun] = {}
     try:
-        with (
-            _workers(options, out, bags) as (executor, slots),
-            Progress(options.quiet) as progress,
-        ):
+        with Progress(options.quiet) as progress:
             for warning in dict.fromkeys(warning for own in inputs for warning in own.warnings):
                 progress.warn(warning)
-            fingerprints = {bag: fingerprint(bag) for bag in bags}
-            if study is not None and search.optuna is not None:
-                batches = study.batches(search.optuna, slots)
+            digests = {bag: fingerprint(bag) for bag in bags}
+            perform = _Performer(base, options, out, truth, objective, digests, progress, runs)
+            if search.optuna is not None:
+                optimize(
+                    parameters, search.optuna, options.workers, search.seed, objective, perform
+                )
             elif search.random is not None:
-                drawn = plan.random_of(parameters, search.random, search.seed)
-                batches = iter([[(None, combination) for combination in drawn]])
+                perform(random_of(parameters, search.random, search.seed))
             else:
-                batches = iter([[(None, combination) for combination in plan.grid_of(parameters)]])
-            for batch in batches:
-                proposed = [
-                    [_make_run(*bag, base, own, options, out) for bag in fingerprints.items()]
-                    for _, own in batch
-                ]
-                new = {run.out: run for own in proposed for run in own if run.out not in runs}
-                progress.stage("sweep", len(new))
-                for run in _perform(list(new.values()), truth, executor):
-                    runs[run.out] = run
-                    progress.say(_summary(run, objective))
-                    progress.advance()
-                for (trial, _), own in zip(batch, proposed, strict=True):
-                    if study is not None:
-                        study.tell(trial, mean_of([runs[run.out] for run in own], objective))
+                perform(grid_of(parameters))
     except KeyboardInterrupt:
         typer.echo("ffmap: interrupted; the same command continues the sweep", err=True)
         raise SystemExit(130) from None
@@ -135,6 +134,114 @@ def sweep(
     if not options.quiet:
         _report(out, list(runs.values()), objective)
     return sum(run.error is not None for run in runs.values())
+
+
+def parse_grid(texts: Sequence[str], ranges: bool) -> tuple[Parameter, ...]:
+    """Parse texts like doors.lines_min=2,3 or wall_planes.similarity_m=0.02..0.08.
+
+    ranges: whether a range may be given. Raises InputError that names the wrong text.
+    """
+    if not texts:
+        raise InputError("--grid: nothing to sweep; give values, as in --grid doors.lines_min=2,3")
+    parameters = tuple(_parse(text, ranges) for text in texts)
+    names = [parameter.name for parameter in parameters]
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
+        raise InputError(f"--grid {twice}: is given twice; write all values in one --grid")
+    return parameters
+
+
+def _parse(text: str, ranges: bool) -> Parameter:
+    name, equals, listed = (part.strip() for part in text.partition("="))
+    is_range = ".." in listed and "," not in listed
+    parts = [part.strip() for part in listed.split(".." if is_range else ",")]
+    if not equals or not name or not all(parts):
+        raise InputError(
+            f"--grid {text}: write it as step.name=value,value, as in doors.lines_min=2,3"
+        )
+    # Values as the settings hold them: 1 for a length in metres is 1.0.
+    values: list[Any] = [load_settings(None, [f"{name}={p}"]).flat().get(name) for p in parts]
+    if None in values:
+        raise InputError(f"--grid {text}: {name!r} is a step; 'ffmap settings' lists all settings")
+    if not is_range:
+        return Parameter(name, tuple(dict.fromkeys(values)))
+    numbers = all(isinstance(value, int | float) for value in values)
+    if len(values) != 2 or not numbers or values[0] >= values[1]:
+        raise InputError(f"--grid {text}: write a range as lower..higher, as in 0.02..0.08")
+    if not ranges:
+        raise InputError(f"--grid {text}: a range needs --random N or --optuna N; or list values")
+    return Parameter(name, tuple(values), is_range=True)
+
+
+def grid_of(parameters: Sequence[Parameter]) -> list[Combination]:
+    """Return every combination; the last parameter changes fastest."""
+    names = [parameter.name for parameter in parameters]
+    combinations = itertools.product(*(parameter.values for parameter in parameters))
+    return [dict(zip(names, values, strict=True)) for values in combinations]
+
+
+def random_of(parameters: Sequence[Parameter], count: int, seed: int) -> list[Combination]:
+    """Draw `count` different combinations; all of them if there are fewer."""
+    generator, different = np.random.default_rng(seed), dict[tuple[Any, ...], Combination]()
+    for _ in range(100 * count):  # values and integers may run out of combinations
+        combination = {own.name: _draw(own, generator) for own in parameters}
+        different.setdefault(tuple(combination.values()), combination)
+        if len(different) == count:
+            break
+    return list(different.values())
+
+
+def _draw(parameter: Parameter, generator: np.random.Generator) -> Any:  # noqa: ANN401 - as Settings
+    values = parameter.values
+    if not parameter.is_range:
+        return values[generator.integers(len(values))]
+    low, high = values
+    if isinstance(low, int):
+        return int(generator.integers(low, high, endpoint=True))
+    return float(f"{generator.uniform(low, high):.4g}")
+
+
+def optimize(
+    parameters: Sequence[Parameter],
+    count: int,
+    at_once: int,
+    seed: int,
+    objective: str,
+    perform: Callable[[Sequence[Combination]], list[float | None]],
+) -> None:
+    """Perform combinations that Optuna's TPE sampler proposes, some at once.
+
+    The combinations are the same for the same seed and results.
+    perform: returns the objective of each combination; None if its runs failed.
+    Raises InputError if Optuna is not installed.
+    """
+    try:
+        import optuna  # noqa: TID251 - its one place
+    except ImportError:
+        raise InputError(
+            f"--optuna: Optuna is not installed; '{pip_command('optuna')}' installs it (in a "
+            "checkout, pip install '.[optuna]'), or use --random N"
+        ) from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        # The constant liar keeps the trials of one batch apart.
+        sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
+    maximized = FIGURES[objective].better == "higher"
+    study = optuna.create_study(sampler=sampler, direction="maximize" if maximized else "minimize")
+    for first in range(0, count, at_once):
+        trials = [study.ask() for _ in range(min(at_once, count - first))]
+        for trial, own in itertools.product(trials, parameters):
+            if not own.is_range:
+                trial.suggest_categorical(own.name, own.values)
+            elif isinstance(own.values[0], int):
+                trial.suggest_int(own.name, *own.values)
+            else:
+                trial.suggest_float(own.name, *own.values)
+        values = perform([trial.params for trial in trials])
+        for trial, value in zip(trials, values, strict=True):
+            failed = optuna.trial.TrialState.FAIL if value is None else None
+            study.tell(trial, value, state=failed)
 
 
 def _objective(name: str, with_truth: bool) -> str:
@@ -150,46 +257,88 @@ def _objective(name: str, with_truth: bool) -> str:
     return objective
 
 
-def _make_run(
-    bag: BagPath,
-    digest: str,
-    base: Settings,
-    combination: Combination,
-    options: RunOptions,
-    out: Path,
-) -> SweepRun:
-    """Make the run of a bag with a combination; a hash of all it depends on names its folder."""
-    kept = options.stored()
-    digests, evaluate = kept.pop("digests"), kept.pop("evaluate")
-    overrides = plan.overrides_of(base, combination)
-    kept |= {"outputs": ",".join(kept["outputs"]), "set": overrides, "workers": 1}
-    words = ["--overwrite", "--quiet", *([] if evaluate else ["--no-evaluate"])]
-    for name, value in kept.items():
-        values = value if isinstance(value, list) else [] if value is None else [value]
-        words += [f"--{name.replace('_', '-')}={own}" for own in values]
-    bag = bag.resolve()
-    known_by = json.dumps([words, digests, digest, versions()], sort_keys=True)
-    folder = out / f"{bag.stem}-{hashlib.sha256(known_by.encode()).hexdigest()[:8]}"
-    command = ["run", *map(str, bag.parts), "--out", str(folder), *words]
-    return SweepRun(folder, bag.parts[0], command, combination)
+@dataclass(frozen=True)
+class _Performer:
+    """Performs the runs of combinations on every bag. runs: those that have ended."""
+
+    base: Settings
+    options: RunOptions
+    out: Path
+    evaluated: bool
+    objective: str
+    digests: Mapping[BagPath, str]
+    progress: Progress
+    runs: dict[Path, SweepRun]
+
+    def __call__(self, combinations: Sequence[Combination]) -> list[float | None]:
+        """Perform the runs that are not finished; return the mean objective of each combination."""
+        wanted = [[self._make(bag, own) for bag in self.digests] for own in combinations]
+        new = {run.out: run for own in wanted for run in own if run.out not in self.runs}
+        self.progress.stage("sweep", len(new))
+        waiting = []
+        for run in new.values():
+            if _is_finished(run.out, self.evaluated):
+                self._end(run, " (was finished)")
+            else:
+                waiting.append(run)
+        # The first run of each bag leaves the odometry in the cache for the others.
+        first = list({run.bag: run for run in reversed(waiting)}.values())
+        self._perform(first)
+        self._perform([run for run in waiting if run not in first])
+        return [_mean([self.runs[run.out] for run in own], self.objective) for own in wanted]
+
+    def _make(self, bag: BagPath, combination: Combination) -> SweepRun:
+        """Make the run of a bag; a hash of all that it depends on names its folder."""
+        kept = self.options.stored()
+        digests, evaluate = kept.pop("digests"), kept.pop("evaluate")
+        overrides = overrides_of(self.base, combination)
+        kept |= {"outputs": ",".join(kept["outputs"]), "set": overrides, "workers": 1}
+        words = ["--overwrite", "--quiet", *([] if evaluate else ["--no-evaluate"])]
+        for name, value in kept.items():
+            values = value if isinstance(value, list) else [] if value is None else [value]
+            words += [f"--{name.replace('_', '-')}={own}" for own in values]
+        known_by = json.dumps([words, digests, self.digests[bag], versions()], sort_keys=True)
+        name = f"{bag.stem}-{hashlib.sha256(known_by.encode()).hexdigest()[:8]}"
+        if self.options.scheduler is not None:
+            words.append(f"--scheduler={self.options.scheduler}")
+        command = ["run", *map(str, bag.parts), "--out", str(self.out / name), *words]
+        return SweepRun(self.out / name, bag.parts[0], command, combination)
+
+    def _perform(self, runs: Sequence[SweepRun]) -> None:
+        """Perform runs, each in a process; end all processes if interrupted."""
+        processes: set[subprocess.Popen[bytes]] = set()
+        with ThreadPoolExecutor(self.options.workers) as pool:
+            try:
+                futures = {pool.submit(_run_command, run.command, processes): run for run in runs}
+                for future in as_completed(futures):
+                    futures[future].error = future.result()
+                    self._end(futures[future])
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in list(processes):
+                    process.terminate()
+                raise
+
+    def _end(self, run: SweepRun, note: str = "") -> None:
+        """Keep and print a run that has ended."""
+        if run.error is None:
+            run.figures = read_figures(run.out, RunFolder(run.out).read_json())
+        self.runs[run.out] = run
+        values = ", ".join(f"{name} {value}" for name, value in run.combination.items())
+        result = f"{self.objective} {format_value(run.figures.get(self.objective))}"
+        result = f"failed: {run.error}" if run.error else result
+        self.progress.say(f"{run.out.name}: {values}: {result}{note}")
+        self.progress.advance()
 
 
-def _perform(
-    runs: Sequence[SweepRun], evaluated: bool, executor: Executor
-) -> Iterator[SweepRun]:
-    """Perform the runs that are not finished; yield each as it ends."""
-    for run in runs:
-        run.reused = _is_finished(run.out, evaluated)
-    waiting = [run for run in runs if not run.reused]
-    # The first run of each bag leaves the odometry in the cache for the others.
-    first = list({run.bag: run for run in reversed(waiting)}.values())
-    yield from (_with_figures(run) for run in runs if run.reused)
-    for batch in (first, [run for run in waiting if run not in first]):
-        futures = {executor.submit(run_command, run.command): run for run in batch}
-        for future in as_completed(futures):
-            run, lost = futures[future], future.exception()
-            run.error = future.result() if lost is None else f"lost by the cluster: {lost}"
-            yield run if run.error else _with_figures(run)
+def overrides_of(base: Settings, combination: Combination) -> list[str]:
+    """Return what differs from the default settings with a combination's values, as for --set."""
+    defaults = Settings().flat()
+    return [
+        f"{name}={json.dumps(value)}"
+        for name, value in {**base.flat(), **combination}.items()
+        if value != defaults[name]
+    ]
 
 
 def _is_finished(folder: Path, evaluated: bool) -> bool:
@@ -201,23 +350,11 @@ def _is_finished(folder: Path, evaluated: bool) -> bool:
     return complete and (not evaluated or (folder / METRICS).exists())
 
 
-def _with_figures(run: SweepRun) -> SweepRun:
-    run.figures = read_figures(run.out, RunFolder(run.out).read_json())
-    return run
+def _run_command(words: Sequence[str], processes: set[subprocess.Popen[bytes]]) -> str | None:
+    """Run ffmap in a process; return the last line of its errors, None if it succeeds.
 
-
-def _summary(run: SweepRun, objective: str) -> str:
-    values = ", ".join(f"{name} {value}" for name, value in run.combination.items())
-    result = f"{objective} {format_value(run.figures.get(objective))}"
-    result = f"failed: {run.error}" if run.error else result
-    return f"{run.out.name}: {values}: {result}{' (was finished)' if run.reused else ''}"
-
-
-_children: set[subprocess.Popen[bytes]] = set()
-
-
-def run_command(words: Sequence[str]) -> str | None:
-    """Run ffmap in a process; return the last line of its errors, None if it succeeds."""
+    processes: contains the process while it runs.
+    """
     process = subprocess.Popen(
         [sys.executable, "-c", "from ffmap.app.cli import main; main()", *words],
         stdin=subprocess.DEVNULL,
@@ -225,43 +362,15 @@ def run_command(words: Sequence[str]) -> str | None:
         stderr=subprocess.PIPE,
         env={**ENVIRONMENT, **os.environ, **compiled_code()},
     )
-    _children.add(process)
-    try:
-        errors = process.communicate()[1].decode(errors="replace").strip().splitlines()
-    finally:
-        _children.discard(process)
+    processes.add(process)
+    errors = process.communicate()[1].decode(errors="replace").strip().splitlines()
+    processes.discard(process)
     if process.returncode == 0:
         return None
     return errors[-1] if errors else f"ended with exit code {process.returncode}"
 
 
-def stop_all() -> None:
-    """End the processes of `run_command`."""
-    for process in list(_children):
-        process.terminate()
-
-
-@contextmanager
-def _workers(
-    options: RunOptions, out: Path, bags: Sequence[BagPath]
-) -> Iterator[tuple[Executor, int]]:
-    """Yield an executor and the number of runs at once."""
-    if options.scheduler is not None:
-        from ffmap.app.run.cluster import connect
-
-        needed = [out, *(part for bag in bags for part in bag.parts)]
-        with connect(options.scheduler, needed, stop_all) as cluster:
-            yield cluster.executor, max(cluster.slots, 1)
-        return
-    executor = ThreadPoolExecutor(options.workers)  # each thread waits for a process
-    try:
-        yield executor, options.workers
-    finally:
-        executor.shutdown(wait=False, cancel_futures=True)
-        stop_all()
-
-
-def mean_of(runs: Sequence[SweepRun], name: str) -> float | None:
+def _mean(runs: Sequence[SweepRun], name: str) -> float | None:
     """Return the mean of a figure over the bags; None if a run lacks it."""
     values = [run.figures[name] for run in runs if name in run.figures]
     return statistics.fmean(values) if values and len(values) == len(runs) else None
@@ -287,13 +396,12 @@ def _report(out: Path, runs: Sequence[SweepRun], objective: str) -> None:
     for run in runs:
         if run.error is not None:
             typer.echo(f"failed: {run.out.name}: {run.error}")
-    reused = sum(run.reused for run in runs)
-    typer.echo(f"{len(done)} of {len(runs)} runs, {reused} of them were finished")
+    typer.echo(f"{len(done)} of {len(runs)} runs succeeded")
     typer.echo(f"table:     {out / SWEEP_TABLE}")
-    sign = -1.0 if FIGURES[objective].better == "higher" else 1.0
     ranked = sorted(
         (run for run in done if run.bag == runs[0].bag and objective in run.figures),
-        key=lambda run: sign * run.figures[objective],
+        key=lambda run: run.figures[objective],
+        reverse=FIGURES[objective].better == "higher",
     )
     if len(ranked) > 1:
         typer.echo(f"compare:   {own_command()} compare {ranked[1].out} {ranked[0].out}")

@@ -2,7 +2,7 @@
 
 import asyncio
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,13 +26,10 @@ class Cluster:
 
 
 @contextmanager
-def connect(
-    address: str, needed: Sequence[Path], stop: Callable[[], None] | None = None
-) -> Iterator[Cluster]:
+def connect(address: str, needed: Sequence[Path]) -> Iterator[Cluster]:
     """Connect to the scheduler at an address.
 
-    needed: files that workers read, under the same path as here. stop: is called on every worker
-    where the work ends early.
+    needed: files that workers read, under the same path as here.
     Raises InputError where Dask is not installed, no scheduler answers, a worker cannot do the
     work, or the cluster loses a part of it.
     """
@@ -60,15 +57,10 @@ def connect(
         try:
             slots = sum(client.nthreads().values())
             yield Cluster(client.get_executor(pure=False), slots)
-        except BaseException as error:
-            # Dask cancels the jobs that have not started; `stop` ends the others.
-            if stop is not None:
-                client.run(stop, on_error="ignore")
-            if isinstance(error, distributed.KilledWorker | CancelledError):
-                raise InputError(
-                    f"--scheduler {address}: lost its workers, most likely because memory ran out"
-                ) from None
-            raise
+        except (distributed.KilledWorker, CancelledError):
+            raise InputError(
+                f"--scheduler {address}: lost its workers, most likely because memory ran out"
+            ) from None
     finally:
         client.close(timeout=_CONNECT_S)
 
