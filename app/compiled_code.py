@@ -15,8 +15,7 @@ from ffmap.app.user_cache import user_cache
 
 VARIABLE = "NUMBA_CACHE_DIR"
 """Environment variable of Numba; a folder that the user has set takes precedence."""
-_PACKAGE = Path(__file__).resolve().parents[1]
-SOURCES = "algorithms"
+SOURCES = Path(__file__).resolve().parents[1] / "algorithms"
 """Folder of all compiled functions."""
 
 
@@ -25,9 +24,8 @@ def compiled_code() -> dict[str, str]:
     if os.environ.get(VARIABLE):
         return {}
     state = hashlib.sha256()
-    for file in sorted((_PACKAGE / SOURCES).rglob("*.py")):
-        text = file.read_bytes()
-        state.update(f"{file.relative_to(_PACKAGE)}\0{len(text)}\0".encode() + text)
+    for file in sorted(SOURCES.rglob("*.py")):
+        state.update(str(file.relative_to(SOURCES)).encode() + file.read_bytes())
     try:
         folder = user_cache() / "compiled" / state.hexdigest()[:16]
         folder.mkdir(parents=True, exist_ok=True)

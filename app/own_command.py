@@ -1,4 +1,4 @@
-"""Commands that users can copy from our output: they call this very installation."""
+"""Commands that users can copy from our output."""
 
 import os
 import shlex
@@ -10,14 +10,10 @@ _NAME = "ffmap"
 
 
 def own_command() -> str:
-    """Return `ffmap` if the shell finds this installation by that name, else the script's path."""
-    beside = Path(sys.executable).with_name(_NAME)
-    candidates = (Path(sys.argv[0]), beside)
-    scripts = [path for path in candidates if path.stem == _NAME and path.is_file()]
-    found = shutil.which(_NAME)
-    if not scripts or (found is not None and Path(found).resolve() == scripts[0].resolve()):
-        return _NAME
-    return shlex.quote(_short(scripts[0]))
+    """Return `ffmap`, or the path by which the user called it if the shell does not find it."""
+    script = Path(sys.argv[0])
+    called = script.stem == _NAME and shutil.which(_NAME) is None
+    return shlex.quote(str(script)) if called else _NAME
 
 
 def view_command(place: Path) -> str:
@@ -31,11 +27,4 @@ def has_display() -> bool:
 
 def pip_command(package: str) -> str:
     """Return the command that installs a package for this interpreter."""
-    return f"{shlex.quote(_short(Path(sys.executable)))} -m pip install {package}"
-
-
-def _short(program: Path) -> str:
-    """Return the path relative to the working directory if it is in it, else absolute."""
-    # Links are not followed: the interpreter of a virtual environment is a link out of it.
-    path, here = Path(os.path.abspath(program)), Path.cwd()  # noqa: PTH100
-    return str(path.relative_to(here)) if here in path.parent.parents else str(path)
+    return f"{shlex.quote(sys.executable)} -m pip install {package}"

@@ -20,8 +20,7 @@ from rich.progress import Progress as Bars
 class Progress:
     """Bars and messages; a context manager."""
 
-    def __init__(self, quiet: bool = False, estimate_s: float = 30.0) -> None:
-        """estimate_s: period over which the speed is averaged to estimate the remaining time."""
+    def __init__(self, quiet: bool = False) -> None:
         self._console = Console(stderr=True, quiet=quiet, highlight=False)
         self._bars = Bars(
             TextColumn("{task.description:<10}"),
@@ -31,7 +30,6 @@ class Progress:
             TimeRemainingColumn(),
             console=self._console,
             disable=quiet or not sys.stderr.isatty(),
-            speed_estimate_period=estimate_s,
         )
         self._task: TaskID | None = None
         self._name = ""
@@ -66,6 +64,7 @@ class Progress:
         self._console.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)
 
     def say(self, text: str) -> None:
+        """Print a line."""
         self._console.print(text, markup=False, soft_wrap=True)
 
     def _end_stage(self, done: bool) -> None:

@@ -1,7 +1,6 @@
 """The folder of this user's caches."""
 
 import os
-import sys
 from pathlib import Path
 
 CACHE_VARIABLE = "FFMAP_CACHE"
@@ -9,11 +8,6 @@ CACHE_VARIABLE = "FFMAP_CACHE"
 
 
 def user_cache() -> Path:
-    """Return the folder in $XDG_CACHE_HOME, ~/.cache or the system's equivalent."""
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "furniture-free-mapping"
+    """Return the program's folder in $XDG_CACHE_HOME or ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "furniture-free-mapping"

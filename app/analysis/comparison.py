@@ -5,7 +5,6 @@ Everything is a number, an array or text that the terminal, the recording and co
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from ffmap.algorithms.truth.changes import (
 from ffmap.algorithms.truth.doors import match_doors
 from ffmap.algorithms.truth.poses import compare_trajectories
 from ffmap.app.analysis.figures import Figure, read_figures
-from ffmap.app.analysis.run_labels import CloudLabels, labels_file, read_run_labels, side_by_side
+from ffmap.app.analysis.run_labels import CloudLabels, read_run_labels, side_by_side
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import DOORS, LABELS, TRAJECTORY, WALLS, map_file
@@ -149,10 +148,6 @@ class Comparison:
         return most.b.letter, most.labels.worst
 
 
-class _NotComparableError(Exception):
-    """A subject that two runs cannot be compared by."""
-
-
 def compare_runs(
     runs: Sequence[RunToCompare],
     warnings: Sequence[str],
@@ -162,27 +157,33 @@ def compare_runs(
     changes = []
     for other in runs[1:]:
         change = Change(a=runs[0], b=other)
-        for subject, compare in _SUBJECTS.items():
-            try:
-                if not change.same_bag:
-                    raise _NotComparableError("the runs labelled different bags or topics")
-                compare(change, changed_points)
-            except _NotComparableError as reason:
-                change.not_compared[subject] = str(reason)
+        for subject, (file, compare) in _SUBJECTS.items():
+            lacking = [run.letter for run in (change.a, change.b) if run.run.file(file) is None]
+            if not change.same_bag:
+                why: str | None = "the runs labelled different bags or topics"
+            elif lacking:
+                why = f"{' and '.join(lacking)} {'has' if len(lacking) == 1 else 'have'} no {file}"
+            else:
+                why = compare(change, changed_points)
+            if why is not None:
+                change.not_compared[subject] = why
         changes.append(change)
-    found = [run.run for run in runs]
+    tables = [_settings(run.run) for run in runs]
     return Comparison(
         runs=tuple(runs),
         changes=tuple(changes),
-        settings=_differing([_settings(run) for run in found]),
-        figures=_by_name([read_figures(run.path, run.record) for run in found]),
+        settings={
+            name: row
+            for name, row in _by_name(tables).items()
+            if any(value != row[0] for value in row)
+        },
+        figures=_by_name([read_figures(run.run.path, run.run.record) for run in runs]),
         warnings=tuple(warnings),
     )
 
 
-def _compare_labels(change: Change, changed_points: ChangedPoints) -> None:
+def _compare_labels(change: Change, changed_points: ChangedPoints) -> str | None:
     a, b = change.a.run, change.b.run
-    _require(change, LABELS, lambda run: labels_file(run) is not None)
     # Points are placed for one of the runs alone, which takes longer than reading their labels.
     bag_a, bag_b = (run.bag_path is not None and run.bag_path.missing is None for run in (a, b))
     first, second = read_run_labels(a, bag_a), read_run_labels(b, bag_b and not bag_a)
@@ -208,48 +209,45 @@ def _compare_labels(change: Change, changed_points: ChangedPoints) -> None:
         voxels.add(points[changed], CLASSES * before + after)
         changed_points(change.b.letter, one, points[changed], before, after)
     if not rows:
-        raise _NotComparableError("the runs have no cloud in common")
-    columns = (np.array(column) for column in zip(*rows, strict=True))
-    scan, stamp_ns, all_counts, all_changed = columns
+        return "the runs have no cloud in common"
+    scan, stamp_ns, all_counts, all_changed = (np.array(own) for own in zip(*rows, strict=True))
     labels = LabelChange(scan, stamp_ns, all_counts, all_changed, voxels.votes())
     change.labels = labels
     total, points_total = int(labels.changed.sum()), int(labels.points.sum())
     change.figures |= {
         "labels.changed": total,
         "labels.changed_share": total / points_total if points_total else float("nan"),
-        "labels.changed_scan": int(all_changed.sum()),
+        "labels.changed_scan": int(labels.changed_scan.sum()),
         "labels.points": points_total,
         "labels.scans": len(rows),
         "labels.scans_only_a": only_a,
         "labels.scans_only_b": only_b,
         "labels.scans_unlike": unlike,
     }
-    confusion = all_counts.sum(axis=0)
+    confusion = labels.counts.sum(axis=0)
     codes = most_frequent([confusion], TRANSITIONS)
+    change.details["transitions"] = {
+        name_transition(code): int(confusion.flat[code]) for code in codes
+    }
     per_scan = {
-        "scan": scan,
-        "stamp_ns": stamp_ns,
+        "scan": labels.scan,
+        "stamp_ns": labels.stamp_ns,
         "points": labels.points,
         "changed": labels.changed,
-        "changed_label_scan": all_changed,
+        "changed_label_scan": labels.changed_scan,
     }
-    change.details |= {
-        "confusion": confusion.tolist(),
-        "transitions": {name_transition(code): int(confusion.flat[code]) for code in codes},
-        "scans": [
-            dict(zip(per_scan, row, strict=True))
-            for row in zip(*(values.tolist() for values in per_scan.values()), strict=True)
-        ],
-    }
+    values = zip(*(column.tolist() for column in per_scan.values()), strict=True)
+    change.details["scans"] = [dict(zip(per_scan, row, strict=True)) for row in values]
+    return None
 
 
-def _compare_poses(change: Change, _: ChangedPoints) -> None:
-    a, b = map(read_tum, _of_both(change, TRAJECTORY))
+def _compare_poses(change: Change, _: ChangedPoints) -> str | None:
+    a, b = (read_tum(run.run.path / TRAJECTORY) for run in (change.a, change.b))
     stamp_ns, at_a, at_b = np.intersect1d(
         a.stamp_ns, b.stamp_ns, assume_unique=True, return_indices=True
     )
     if not len(stamp_ns):
-        raise _NotComparableError("the runs have no pose in common")
+        return "the runs have no pose in common"
     errors = compare_trajectories(
         Trajectory(stamp_ns, b.T_map_base[at_b]), Trajectory(stamp_ns, a.T_map_base[at_a])
     )
@@ -261,10 +259,14 @@ def _compare_poses(change: Change, _: ChangedPoints) -> None:
         "trajectory.aligned_max_m": float(errors.error_m.max()),
         "trajectory.poses": len(stamp_ns),
     }
+    return None
 
 
 def _compare_walls(change: Change, _: ChangedPoints) -> None:
-    a, b = (segments(read_features(path, "lines", _ADVICE)) for path in _of_both(change, WALLS))
+    a, b = (
+        segments(read_features(run.run.path / WALLS, "lines", _ADVICE))
+        for run in (change.a, change.b)
+    )
     change.lost["walls"], change.gained["walls"] = unmatched_walls(a, b), unmatched_walls(b, a)
     change.figures |= {
         "walls.lost_m": float(lengths_m(change.lost["walls"]).sum()),
@@ -274,7 +276,7 @@ def _compare_walls(change: Change, _: ChangedPoints) -> None:
 
 
 def _compare_doors(change: Change, _: ChangedPoints) -> None:
-    a, b = (read_features(path, "doors", _ADVICE) for path in _of_both(change, DOORS))
+    a, b = (read_features(run.run.path / DOORS, "doors", _ADVICE) for run in (change.a, change.b))
     match = match_doors(segments(a), segments(b)).tolist()
     altered = [(b[j], _altered(a[i], b[j])) for i, j in enumerate(match) if j >= 0]
     change.doors = {
@@ -293,7 +295,7 @@ def _compare_doors(change: Change, _: ChangedPoints) -> None:
 
 
 def _altered(a: Mapping[str, Any], b: Mapping[str, Any]) -> str:
-    """What differs between two doors that match, in words."""
+    """Describe what differs between two doors that match."""
     parts = [f"{_state(a)} → {_state(b)}"] if _state(a) != _state(b) else []
     widths = a["properties"]["width"], b["properties"]["width"]
     if abs(widths[1] - widths[0]) >= _WIDTH_M:
@@ -305,35 +307,26 @@ def _state(door: Mapping[str, Any]) -> str:
     return str(door["properties"]["state"])
 
 
-def _compare_grids(change: Change, _: ChangedPoints) -> None:
-    a, b = map(read_map, _of_both(change, map_file(entities.FURNITURE_FREE)))
+def _compare_grids(change: Change, _: ChangedPoints) -> str | None:
+    a, b = change.a.grid, change.b.grid
+    assert a is not None
+    assert b is not None
     try:
         change.lost["cells"], change.gained["cells"], figures = compare_grids(a, b)
     except ValueError as error:
-        raise _NotComparableError(str(error)) from error
+        return str(error)
     change.figures |= {f"grid.{name}": count for name, count in figures.items()}
+    return None
 
 
-_SUBJECTS: dict[str, Callable[[Change, ChangedPoints], None]] = {
-    "labels": _compare_labels,
-    "trajectory": _compare_poses,
-    "walls": _compare_walls,
-    "doors": _compare_doors,
-    "grid": _compare_grids,
+_SUBJECTS: dict[str, tuple[str, Callable[[Change, ChangedPoints], str | None]]] = {
+    "labels": (LABELS, _compare_labels),
+    "trajectory": (TRAJECTORY, _compare_poses),
+    "walls": (WALLS, _compare_walls),
+    "doors": (DOORS, _compare_doors),
+    "grid": (map_file(entities.FURNITURE_FREE), _compare_grids),
 }
-
-
-def _of_both(change: Change, name: str) -> tuple[Path, Path]:
-    """The paths of a file of both runs."""
-    _require(change, name, lambda run: run.file(name) is not None)
-    return change.a.run.path / name, change.b.run.path / name
-
-
-def _require(change: Change, name: str, has: Callable[[FinishedRun], bool]) -> None:
-    lacking = [run.letter for run in (change.a, change.b) if not has(run.run)]
-    if lacking:
-        verb = "have" if len(lacking) > 1 else "has"
-        raise _NotComparableError(f"{' and '.join(lacking)} {verb} no {name}")
+"""The file that each comparison reads, and the comparison; it returns why it is impossible."""
 
 
 def _settings(run: FinishedRun) -> dict[str, Any]:
@@ -351,8 +344,3 @@ def _settings(run: FinishedRun) -> dict[str, Any]:
 def _by_name(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     names = dict.fromkeys(name for table in tables for name in table)
     return {name: [table.get(name) for table in tables] for name in names}
-
-
-def _differing(tables: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    rows = _by_name(tables)
-    return {name: row for name, row in rows.items() if any(value != row[0] for value in row)}

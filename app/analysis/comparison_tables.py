@@ -5,7 +5,6 @@ from typing import Any
 
 from rich.table import Table
 
-from ffmap.algorithms.truth.changes import CLASS_NAMES
 from ffmap.app.analysis.comparison import CHANGES, Change, Comparison
 from ffmap.app.analysis.figures import FIGURES, HEADLINES, Figure
 from ffmap.app.tables import in_markdown, make_table
@@ -83,11 +82,9 @@ def _change_table(change: Change) -> Table:
 def as_json(comparison: Comparison) -> dict[str, Any]:
     """Return the content of comparison.json.
 
-    Settings and figures have a value for each run. confusion: rows (first run) and columns in the
-    order of `classes`.
+    Settings and figures have a value for each run.
     """
     return {
-        "classes": list(CLASS_NAMES),
         "runs": [
             {"letter": run.letter, "path": str(run.run.path.resolve()), "outcome": run.run.outcome}
             for run in comparison.runs

@@ -315,9 +315,9 @@ def map_figures(name: str, one: "ComparedMap") -> Metrics:
     return {f"maps.{name}.{figure}": value for figure, value in figures.items()}
 
 
-def room_figures(name: str, rooms: "RoomFigures", names: Sequence[str]) -> Metrics:
-    """Compute the figures of a map's rooms (Fig. 10). names: of the true rooms."""
-    figures = {
+def figures_of_rooms(rooms: "RoomFigures") -> Metrics:
+    """Compute the figures of the rooms of a map (Fig. 10), by the names of `OF_ROOMS`."""
+    return {
         "true": len(rooms.recall),
         "entered": int(rooms.counted.sum()),
         "found": len(rooms.precision),
@@ -326,6 +326,12 @@ def room_figures(name: str, rooms: "RoomFigures", names: Sequence[str]) -> Metri
         "precision": rooms.mean_precision,
         "split": len(rooms.split),
         "merged": len(rooms.merged),
+    }
+
+
+def room_figures(name: str, rooms: "RoomFigures", names: Sequence[str]) -> Metrics:
+    """Compute the figures of a run's rooms in a map. names: of the true rooms."""
+    figures = figures_of_rooms(rooms) | {
         "split_rooms": [names[room] for room in rooms.split],
         "merged_rooms": [[names[room] for room in pair] for pair in rooms.merged],
         "recall_by_room": dict(zip(names, rooms.recall.tolist(), strict=True)),

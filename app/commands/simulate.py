@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from ffmap.app.progress import Progress
 from ffmap.app.setup.settings import parse_value
-from ffmap.loaders.errors import InputError
+from ffmap.loaders.errors import InputError, first_problem
 
 if TYPE_CHECKING:
     from ffmap.loaders.simulator import SimulationSettings
@@ -50,15 +50,12 @@ def _settings(values: dict[str, Any], overrides: Sequence[str]) -> "SimulationSe
         if not equals:
             raise InputError(f"--set {override}: write it as name=value, as in clutter=0.5")
         values[name.strip()] = parse_value(text.strip())
+    known = SimulationSettings.model_fields
+    for name in values:
+        if name not in known:
+            names = ", ".join(known)
+            raise InputError(f"simulate: there is no setting {name!r}; the settings are {names}")
     try:
         return SimulationSettings.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-    known = SimulationSettings.model_fields
-    name = str(first["loc"][0]) if first["loc"] else "settings"
-    if first["type"] == "extra_forbidden":
-        names = ", ".join(known)
-        raise InputError(f"simulate: there is no setting {name!r}; the settings are {names}")
-    meaning = f" ({known[name].description})" if name in known else ""
-    given = "" if not first["loc"] else f" = {values.get(name)!r}"
-    raise InputError(f"simulate: {name}{given}: {first['msg']}{meaning}; give another value")
+        raise InputError(f"simulate: {first_problem(error)}; give another value") from None

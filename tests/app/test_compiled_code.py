@@ -8,26 +8,9 @@ from pathlib import Path
 import pytest
 
 from ffmap.app import compiled_code as module
-from ffmap.app.compiled_code import SOURCES, VARIABLE, compiled_code
+from ffmap.app.compiled_code import VARIABLE, compiled_code
 
 ROOT = Path(__file__).parents[2]
-CALLEE = "import numba\n\n@numba.njit(cache=True)\ndef callee() -> int:\n    return {}\n"
-CALLER = (
-    "import numba\nfrom callee import callee\n\n"
-    "@numba.njit(cache=True)\ndef caller() -> int:\n    return callee()\n"
-)
-
-
-@pytest.fixture
-def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A program whose user's cache is beside it."""
-    monkeypatch.delenv(VARIABLE, raising=False)
-    monkeypatch.setattr(module, "user_cache", lambda: tmp_path / "cache")
-    monkeypatch.setattr(module, "_PACKAGE", tmp_path / "program")
-    folder = tmp_path / "program" / SOURCES
-    folder.mkdir(parents=True)
-    (folder / "caller.py").write_text(CALLER)
-    return folder
 
 
 def test_all_compiled_functions_are_among_the_sources() -> None:
@@ -38,26 +21,24 @@ def test_all_compiled_functions_are_among_the_sources() -> None:
     assert not [path for path in files if "import numba" in path.read_text("utf-8")]
 
 
-def test_a_caller_is_compiled_again_when_what_it_calls_has_changed(sources: Path) -> None:
-    def folder_of(answer: int) -> Path:
-        (sources / "callee.py").write_text(CALLEE.format(answer))
-        return Path(compiled_code()[VARIABLE])
+def test_each_state_of_the_sources_has_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(module, "SOURCES", tmp_path / "program")
+    (tmp_path / "program").mkdir()
 
-    def answer(folder: Path) -> int:
-        code = "from caller import caller; print(caller())"
-        environment = {**os.environ, VARIABLE: str(folder)}
-        # Python's own cache takes what has changed within a second for the same.
-        command = [sys.executable, "-B", "-c", code]
-        return int(subprocess.check_output(command, cwd=sources, env=environment))
+    def folder_of(text: str) -> str:
+        (tmp_path / "program" / "callee.py").write_text(text)
+        return compiled_code()[VARIABLE]
 
-    first = folder_of(1)
-    assert answer(first) == 1
-    changed = folder_of(2)
-    assert changed != first
-    assert answer(changed) == 2
-    # In one folder the change is not noticed. If Numba ever does, the folders may go.
-    assert answer(first) == 1
-    assert folder_of(1) == first
+    first = folder_of("1")
+    assert Path(first).is_relative_to(tmp_path / "cache")
+    assert folder_of("2") != first
+    assert folder_of("1") == first
+    monkeypatch.setenv(VARIABLE, "mine")
+    assert compiled_code() == {}
 
 
 def test_without_a_writable_cache_code_is_compiled_for_now(tmp_path: Path) -> None:
@@ -76,8 +57,3 @@ def test_without_a_writable_cache_code_is_compiled_for_now(tmp_path: Path) -> No
     folder = Path(done.stdout.strip())
     assert folder.parent == tmp_path
     assert not folder.exists()
-
-
-def test_a_folder_that_the_user_sets_takes_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(VARIABLE, "mine")
-    assert compiled_code() == {}
