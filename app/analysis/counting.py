@@ -1,7 +1,6 @@
 """Count the labels of a run against the ground truth, in processes."""
 
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ from ffmap.algorithms.truth.tally import Tally
 from ffmap.app.analysis.run_labels import read_clouds
 from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.run.workers import make_pool
-from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.rig import Lidar
@@ -86,16 +85,15 @@ def _count_clouds(
     """
     tally = Tally(counting.doors)
     stored = read_labels(counting.labels, first, count)
-    with ExitStack() as stack:
-        truth_bag = stack.enter_context(open_bag(counting.truth_bag))
-        true_classes = _open_classes(truth_bag, counting.topics)
+    with open_bag(counting.truth_bag) as truth_bag:
+        true_classes = [topic and TruthClasses(truth_bag, topic) for topic in counting.topics]
         clouds = read_clouds(counting.bag, counting.lidars, first, count)
         for number, place, scan in clouds:
             if isinstance(scan, SkippedScan):
                 tally.skipped += 1
                 continue
             own = true_classes[place]
-            classes = None if own is None else own.at(scan.stamp_ns, scan.cloud_size)
+            classes = own.at(scan.stamp_ns, scan.cloud_size) if own else None
             covered = counting.trajectory.covers(np.array([scan.start_ns]), _MARGIN_NS)[0]
             if classes is None or not covered:
                 tally.without_truth += 1
@@ -117,7 +115,3 @@ def _count_clouds(
             tally.add(points_map, origin_map, truth, label, label_scan)
             log(number, scan.stamp_ns, truth, label)
     return tally
-
-
-def _open_classes(bag: Bag, topics: Sequence[str | None]) -> list[TruthClasses | None]:
-    return [None if topic is None else TruthClasses(bag, topic) for topic in topics]

@@ -1,4 +1,4 @@
-"""`ffmap evaluate`: compare a run with the ground truth; writes metrics.json and evaluation.rrd.
+"""ffmap evaluate: compare a run with the ground truth; writes metrics.json and evaluation.rrd.
 
 `app.analysis.figures` describes the content of metrics.json. Doors, maps and rooms are compared in
 the map's frame, which is defined alike for run and ground truth.
@@ -7,24 +7,25 @@ the map's frame, which is defined alike for run and ground truth.
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.segments import main_direction_deg
+from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.truth.doors import RETURNS_MIN, DoorComparison, FoundDoors, compare_doors
 from ffmap.algorithms.truth.elements import doors_by_design, tally_elements
-from ffmap.algorithms.truth.labels import outside_kept, right_wrong_missed
 from ffmap.algorithms.truth.maps import ComparedMap, compare_map
 from ffmap.algorithms.truth.poses import compare_trajectories
 from ffmap.algorithms.truth.rooms import compare_rooms
-from ffmap.algorithms.truth.tally import VOXEL_M, Tally, confusion_by_area
+from ffmap.algorithms.truth.tally import Tally
 from ffmap.app.analysis import figures
 from ffmap.app.analysis.counting import Counting, count_run
 from ffmap.app.analysis.figures import Metrics
-from ffmap.app.analysis.ground_truth import door_state, parse_building
+from ffmap.app.analysis.ground_truth import TrueBuilding, door_state, parse_building
 from ffmap.app.analysis.metrics_tables import format_metrics
 from ffmap.app.folder import names
 from ffmap.app.folder.atomic import write_json
@@ -69,14 +70,18 @@ def evaluate_run(run: FinishedRun, truth_bag: BagPath | None = None, workers: in
     """
     advice = "the figures are written there: change its permissions, or evaluate a copy"
     names.require_writable(run.path, advice)
+    if run.trajectory is None and run.file(names.LABELS) is None:
+        raise InputError(
+            f"{run.path}: holds nothing to compare with the ground truth, the run is "
+            f"{run.outcome}; 'ffmap run --resume {run.path}' continues one that was stopped"
+        )
     path = truth_bag if truth_bag is not None else _bag_of(run)
     with (
         _open_truth(path) as truth,
         tempfile.TemporaryDirectory(prefix="evaluation-", dir=run.path) as spool,
     ):
         recorded = run.recording is not None and "recording_id" in run.record
-        evaluation = _Evaluation(run, path, truth)
-        evaluation.compare(workers, Path(spool) if recorded else None)
+        evaluation = _compare(run, path, truth, workers, Path(spool) if recorded else None)
         names.check_same_run(names.RunFolder(run.path), run.record)
         write_json(run.path / names.METRICS, evaluation.metrics)
         if evaluation.maps:
@@ -85,6 +90,39 @@ def evaluate_run(run: FinishedRun, truth_bag: BagPath | None = None, workers: in
         if recorded and evaluation.tally is not None:
             evaluation.write_layer(Path(spool))
     return evaluation.metrics
+
+
+def _compare(
+    run: FinishedRun, path: BagPath, truth: Truth, workers: int, spool: Path | None
+) -> "_Evaluation":
+    """Compare all that run and ground truth have. spool: see `_Evaluation.compare_labels`."""
+    assert truth.trajectory is not None
+    building, labels = truth.building, run.file(names.LABELS)
+    found = _Evaluation(run, path, truth.trajectory, parse_building(building or {"features": []}))
+    found.metrics["truth"] = str(path)
+    found.compare_poses()
+    found.metrics |= dotted_keys(run.part("statistics"))
+    if not truth.classes and building is None:
+        found.missing.append("labels, doors, maps and rooms: the truth has poses alone")
+    elif building is None:
+        found.missing.append(f"doors, maps and rooms: the truth has no {BUILDING_TOPIC}")
+    elif run.map_origin_m[:2].any():
+        building, found.building = None, parse_building({"features": []})
+        found.missing.append("doors, maps and rooms: the map's origin is not that of its poses")
+    else:
+        found.compare_rooms()
+    if truth.classes and labels is not None:
+        found.compare_labels(labels, truth, workers, spool)
+    elif truth.classes:
+        found.report_missing("labels, doors and maps", names.LABELS, "labels")
+    elif building is not None:
+        found.missing.append(f"labels, doors and maps: the truth has no {CLASSES_TOPIC}")
+    if building is not None and found.tally is not None and found.voxels is not None:
+        found.compare_doors(found.tally)
+        found.compare_maps(found.tally, found.voxels)
+    if found.missing:
+        found.metrics["missing"] = found.missing
+    return found
 
 
 def has_truth(run: FinishedRun) -> bool:
@@ -110,78 +148,43 @@ def _open_truth(path: BagPath) -> Iterator[Truth]:
         yield truth
 
 
+@dataclass(eq=False)
 class _Evaluation:
     """A run compared with the ground truth.
 
-    metrics: all figures. missing: what could not be compared, and why. The other attributes are
+    metrics: all figures. missing: what could not be compared, and why. The last attributes are
     what the recording shows; None or empty for what run or ground truth lack.
     """
 
-    def __init__(self, run: FinishedRun, truth_path: BagPath, truth: Truth) -> None:
-        assert truth.trajectory is not None
-        self._run, self._truth_path, self._truth = run, truth_path, truth
-        self._true_trajectory = truth.trajectory
-        self._building = parse_building({"features": []})
-        self.metrics: Metrics = {"truth": str(truth_path)}
-        self.missing: list[str] = []
-        self.lidars: tuple[Lidar, ...] = ()
-        self.tally: Tally | None = None
-        self.voxels: VoxelVotes | None = None
-        self.doors: tuple[FoundDoors, DoorComparison] | None = None
-        self.maps: dict[str, ComparedMap] = {}
+    run: FinishedRun
+    truth_path: BagPath
+    trajectory: Trajectory
+    building: TrueBuilding
+    metrics: Metrics = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)
+    lidars: tuple[Lidar, ...] = ()
+    tally: Tally | None = None
+    voxels: VoxelVotes | None = None
+    doors: tuple[FoundDoors, DoorComparison] | None = None
+    maps: dict[str, ComparedMap] = field(default_factory=dict)
 
-    def compare(self, workers: int, spool: Path | None) -> None:
-        """Compare all that run and ground truth have.
-
-        spool: folder for the recording of each scan's errors, None for none.
-        """
-        run, truth, labels = self._run, self._truth, self._run.file(names.LABELS)
-        if run.trajectory is None and labels is None:
-            raise InputError(
-                f"{run.path}: holds nothing to compare with the ground truth, the run is "
-                f"{run.outcome}; 'ffmap run --resume {run.path}' continues one that was stopped"
-            )
-        self._compare_poses(run.trajectory)
-        self.metrics |= dotted_keys(run.record.get("statistics") or {})
-        building = truth.building
-        if not truth.classes and building is None:
-            self.missing.append("labels, doors, maps and rooms: the truth has poses alone")
-        elif building is None:
-            self.missing.append(f"doors, maps and rooms: the truth has no {BUILDING_TOPIC}")
-        elif run.map_origin_m[:2].any():
-            building = None
-            self.missing.append("doors, maps and rooms: the map's origin is not that of its poses")
-        if building is not None:
-            self._building = parse_building(building)
-            self._compare_rooms()
-        if labels is None and truth.classes:
-            self._report_missing("labels, doors and maps", names.LABELS, "labels")
-        elif labels is not None and truth.classes:
-            self._compare_labels(labels, workers, spool)
-        elif building is not None:
-            self.missing.append(f"labels, doors and maps: the truth has no {CLASSES_TOPIC}")
-        if building is not None and self.tally is not None and self.voxels is not None:
-            self._compare_doors(self.tally)
-            self._compare_maps(self.tally, self.voxels)
-        if self.missing:
-            self.metrics["missing"] = self.missing
-
-    def _report_missing(self, what: str, name: str, output: str | None) -> None:
+    def report_missing(self, what: str, name: str, output: str | None) -> None:
         """Report a file that the run does not have. output: which of `--outputs` writes it."""
-        writes = self._run.complete and output is not None
-        why = f"; --outputs with {output} writes it" if writes else f", it is {self._run.outcome}"
+        writes = self.run.complete and output is not None
+        why = f"; --outputs with {output} writes it" if writes else f", it is {self.run.outcome}"
         self.missing.append(f"{what}: the run has no {name}{why}")
 
-    def _compare_poses(self, poses: Path | None) -> None:
+    def compare_poses(self) -> None:
         """Compare poses in the frame in which they were given."""
+        poses = self.run.trajectory
         if poses is None:
-            self._report_missing("trajectory", names.TRAJECTORY, None)
+            self.report_missing("trajectory", names.TRAJECTORY, None)
             return
-        T_given_map = transforms.make_transform(translation=self._run.map_origin_m)
-        errors = compare_trajectories(read_tum(poses).moved(T_given_map), self._true_trajectory)
+        T_given_map = transforms.make_transform(translation=self.run.map_origin_m)
+        errors = compare_trajectories(read_tum(poses).moved(T_given_map), self.trajectory)
         if not len(errors.error_m):
             raise InputError(
-                f"{self._truth_path}: has no pose of a time at which the run {self._run.path} has "
+                f"{self.truth_path}: has no pose of a time at which the run {self.run.path} has "
                 "one; give the truth of the same drive"
             )
         self.metrics |= figures.trajectory_figures(errors)
@@ -194,23 +197,26 @@ class _Evaluation:
                 "the two are given in different frames"
             )
 
-    def _compare_rooms(self) -> None:
+    def compare_rooms(self) -> None:
         """Compare the rooms of the run's own map and of those that the paper compares with."""
-        if self._run.file(names.ROOMS) is None:
-            self._report_missing("rooms", names.ROOMS, "geojson")
-        path_map = self._true_trajectory.T_map_base[:, :3, 3]
+        if self.run.file(names.ROOMS) is None:
+            self.report_missing("rooms", names.ROOMS, "geojson")
         for name in figures.ROOM_MAPS:
-            if (file := self._run.file(names.rooms_file(name))) is not None:
+            if (file := self.run.file(names.rooms_file(name))) is not None:
                 found = outlines(read_features(file, "outlines", _ADVICE))
-                rooms = compare_rooms(self._building.rooms, found, path_map)
-                self.metrics |= figures.room_figures(name, rooms, self._building.room_names)
+                path_map = self.trajectory.T_map_base[:, :3, 3]
+                rooms = compare_rooms(self.building.rooms, found, path_map)
+                self.metrics |= figures.room_figures(name, rooms, self.building.room_names)
 
-    def _compare_labels(self, labels: Path, workers: int, spool: Path | None) -> None:
-        """Compare labels by area and by points, final ones and those of single scans."""
-        bag_path = _bag_of(self._run)
+    def compare_labels(self, labels: Path, truth: Truth, workers: int, spool: Path | None) -> None:
+        """Compare labels by area and by points, final ones and those of single scans.
+
+        spool: folder for the recording of each scan's errors, None for none.
+        """
+        bag_path = _bag_of(self.run)
         with open_bag(bag_path) as bag:
-            lidars = self._run.find_lidars(bag).verticals
-        topics = tuple(self._truth.classes_topics([lidar.frame_id for lidar in lidars]))
+            lidars = self.run.find_lidars(bag).verticals
+        topics = tuple(truth.classes_topics([lidar.frame_id for lidar in lidars]))
         without = [
             f"{lidar.topic} (frame {lidar.frame_id})"
             for lidar, topic in zip(lidars, topics, strict=True)
@@ -225,60 +231,48 @@ class _Evaluation:
             bag=bag_path,
             lidars=lidars,
             labels=labels,
-            truth_bag=self._truth_path,
+            truth_bag=self.truth_path,
             topics=topics,
-            trajectory=self._true_trajectory,
-            doors=self._building.doors,
-            spool=spool if self._run.has_scans else None,
-            recording_id=str(self._run.record.get("recording_id")),
+            trajectory=self.trajectory,
+            doors=self.building.doors,
+            spool=spool if self.run.has_scans else None,
+            recording_id=str(self.run.record.get("recording_id")),
         )
-        tally = count_run(counting, workers)
-        voxels = tally.voxels()
-        self.lidars, self.tally, self.voxels = lidars, tally, voxels
-        self.metrics["scans.counted"] = tally.scans
-        self.metrics["scans.skipped"] = tally.skipped
-        self.metrics["scans.without_truth"] = tally.without_truth
-        for by, confusion, unit in (
-            ("", confusion_by_area(voxels), VOXEL_M**2),
-            ("single_scan.", confusion_by_area(voxels, single_scans=True), VOXEL_M**2),
-            ("points.", tally.confusion_points[0], 1),
-            ("points.single_scan.", tally.confusion_points[1], 1),
-        ):
-            counts, outside = right_wrong_missed(confusion), outside_kept(confusion)
-            self.metrics |= figures.label_figures(by, counts, outside, confusion, unit)
-        if self._building.elements:
-            self.metrics["elements"] = tally_elements(self._building.elements, voxels)
+        self.lidars, self.tally = lidars, count_run(counting, workers)
+        self.voxels = self.tally.voxels()
+        self.metrics |= figures.tally_figures(self.tally, self.voxels)
+        if self.building.elements:
+            self.metrics["elements"] = tally_elements(self.building.elements, self.voxels)
 
-    def _compare_doors(self, tally: Tally) -> None:
-        path = self._run.file(names.DOORS)
+    def compare_doors(self, tally: Tally) -> None:
+        path = self.run.file(names.DOORS)
         if path is None:
-            self._report_missing("doors", names.DOORS, "geojson")
+            self.report_missing("doors", names.DOORS, "geojson")
             return
         found = read_doors(path)
-        doors = compare_doors(self._building.doors, tally.door_returns, found)
+        doors = compare_doors(self.building.doors, tally.door_returns, found)
         self.doors = found, doors
         self.metrics |= figures.door_figures(doors)
-        if designs := self._building.designs:
+        if designs := self.building.designs:
             self.metrics["doors.by_design"] = doors_by_design(designs, doors)
 
-    def _compare_maps(self, tally: Tally, voxels: VoxelVotes) -> None:
-        building, passed = self._building, tally.door_returns >= RETURNS_MIN
+    def compare_maps(self, tally: Tally, voxels: VoxelVotes) -> None:
+        building, passed = self.building, tally.door_returns >= RETURNS_MIN
+        doors, wall_m = building.doors.ends[passed], building.door_wall_m[passed]
         for name in figures.MAPS:
-            path = self._run.file(names.map_file(name))
-            if path is not None:
-                doors, wall_m = building.doors.ends[passed], building.door_wall_m[passed]
+            if (path := self.run.file(names.map_file(name))) is not None:
                 own = compare_map(read_map(path), building.faces, voxels, doors, wall_m)
                 self.maps[name] = own
                 self.metrics |= figures.map_figures(name, own)
         if entities.FURNITURE_FREE not in self.maps:
-            self._report_missing("maps", names.map_file(entities.FURNITURE_FREE), "maps")
+            self.report_missing("maps", names.map_file(entities.FURNITURE_FREE), "maps")
 
     def write_layer(self, spool: Path) -> None:
         """Write evaluation.rrd, the second layer of the run's recording."""
         # Rerun is not needed where a run has no recording.
         from ffmap.app.record.errors import write_layer
 
-        run, own = self._run, self.maps.get(entities.FURNITURE_FREE)
+        run, own = self.run, self.maps.get(entities.FURNITURE_FREE)
         assert self.voxels is not None
         layout = run_blueprint.build(
             True,
@@ -297,8 +291,8 @@ class _Evaluation:
             properties=figures.comparable(self.metrics),
             text=in_markdown(format_metrics(self.metrics)),
             voxels=self.voxels,
-            faces=self._building.faces,
-            true_doors=self._building.doors,
+            faces=self.building.faces,
+            true_doors=self.building.doors,
             found_doors=self.doors,
             maps=self.maps,
         )

@@ -21,10 +21,12 @@ from ffmap.loaders.text_files import dotted_keys, read_object
 
 if TYPE_CHECKING:  # `ffmap runs` needs none of the compiled code behind these
     from ffmap.algorithms.base.scan import IntArray
+    from ffmap.algorithms.building.votes import VoxelVotes
     from ffmap.algorithms.truth.doors import DoorComparison
     from ffmap.algorithms.truth.maps import ComparedMap
     from ffmap.algorithms.truth.poses import TrajectoryErrors
     from ffmap.algorithms.truth.rooms import RoomFigures
+    from ffmap.algorithms.truth.tally import Tally
 
 Metrics = dict[str, Any]
 """Content of metrics.json: figures by name, and some details that are lists, dicts or text."""
@@ -249,27 +251,44 @@ def comparable(metrics: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def label_figures(
-    by: str, counts: "IntArray", outside_kept: tuple[int, int], confusion: "IntArray", unit: float
-) -> Metrics:
+def tally_figures(tally: "Tally", voxels: "VoxelVotes") -> Metrics:
+    """Compute the figures of final labels and of single scans, by area and by points."""
+    from ffmap.algorithms.truth.tally import VOXEL_M, confusion_by_area
+
+    metrics: Metrics = {
+        "scans.counted": tally.scans,
+        "scans.skipped": tally.skipped,
+        "scans.without_truth": tally.without_truth,
+    }
+    for by, confusion, unit in (
+        ("", confusion_by_area(voxels), VOXEL_M**2),
+        ("single_scan.", confusion_by_area(voxels, single_scans=True), VOXEL_M**2),
+        ("points.", tally.confusion_points[0], 1),
+        ("points.single_scan.", tally.confusion_points[1], 1),
+    ):
+        metrics |= label_figures(by, confusion, unit)
+    return metrics
+
+
+def label_figures(by: str, confusion: "IntArray", unit: float) -> Metrics:
     """Compute precision, recall and F1 of every label (eq. 3), and what they are computed from.
 
     Args:
         by: a key of `LABELS_BY`.
-        counts: (6, 3) right, wrong and missed of every `Label`.
-        outside_kept: returns from outside with a label of structure, and all returns from outside.
         confusion: (11, 7) by `Truth` and `Label`.
         unit: area (m²) of a voxel, or 1 for a point.
     """
+    from ffmap.algorithms.truth.labels import outside_kept, right_wrong_missed
+
     metrics: Metrics = {}
-    for label, row in zip(Label, counts.tolist(), strict=True):
+    for label, row in zip(Label, right_wrong_missed(confusion).tolist(), strict=True):
         (right, wrong, missed), name = row, f"{by}{label.name.lower()}"
         metrics[f"{name}.precision"] = _ratio(right, right + wrong)
         metrics[f"{name}.recall"] = _ratio(right, right + missed)
         metrics[f"{name}.f1"] = _ratio(2 * right, 2 * right + wrong + missed)
         for column, count in zip(_counts(by), row, strict=True):
             metrics[f"{name}.{column}"] = round(count * unit, 4)
-    metrics[f"{by}outside_kept"] = _ratio(*outside_kept)
+    metrics[f"{by}outside_kept"] = _ratio(*outside_kept(confusion))
     metrics[f"{by}confusion"] = {
         "truth": [truth.name.lower() for truth in Truth],
         "label": [*(label.name.lower() for label in Label), "unlabelled"],

@@ -203,9 +203,7 @@ def _find_faults(changed: BoolArray, wrong: BoolArray | None) -> ScanFaults:
     return ScanFaults(fault.astype(np.uint8), by_truth=wrong is not None)
 
 
-def _changes(
-    run: FinishedRun, number: int, wrong: BoolArray | None
-) -> tuple[LabelChange, ...]:
+def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> tuple[LabelChange, ...]:
     """Read the changes of a scan's labels from the recording, most frequent first.
 
     wrong: (c,) whether each changed label is wrong; None if unknown.

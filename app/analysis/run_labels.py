@@ -93,17 +93,13 @@ def read_clouds(
         bags = [stack.enter_context(open_bag(bag)) for _ in lidars]
         indices = [lidar.index(own) for lidar, own in zip(lidars, bags, strict=True)]
 
-        def read(
-            place: int, first: int, count: int
-        ) -> Iterator[tuple[int, Scan | SkippedScan]]:
+        def read(place: int, first: int, count: int) -> Iterator[tuple[int, Scan | SkippedScan]]:
             return read_scans(bags[place], indices[place], first, count, lidars[place].decoding)
 
         yield from ScanOrder.of(indices).read(first, count, read)
 
 
-def _placed_clouds(
-    run: FinishedRun, trajectory: Trajectory
-) -> Iterator[tuple[int, FloatArray]]:
+def _placed_clouds(run: FinishedRun, trajectory: Trajectory) -> Iterator[tuple[int, FloatArray]]:
     """Yield number and smoothed returns (m, 3) in the map of each cloud, NaN without a pose."""
     assert run.bag_path is not None
     lidars = [sensor.lidar for sensor in run.find_inputs(run.bag_path).verticals]

@@ -4,14 +4,12 @@ import csv
 import hashlib
 import itertools
 import json
-import os
 import statistics
-import subprocess
-import sys
+import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +17,13 @@ import numpy as np
 import typer
 
 from ffmap.app.analysis.figures import FIGURES, HEADLINES, WITHOUT_TRUTH, find_name, read_figures
+from ffmap.app.commands.run import run as run_bag
 from ffmap.app.commands.runs import runs as list_runs
-from ffmap.app.compiled_code import compiled_code
 from ffmap.app.folder.atomic import written_whole
 from ffmap.app.folder.names import METRICS, SWEEP_TABLE, RunFolder, require_writable
 from ffmap.app.own_command import own_command, pip_command
 from ffmap.app.progress import Progress
-from ffmap.app.run.workers import ENVIRONMENT
+from ffmap.app.run.workers import make_pool
 from ffmap.app.setup.inputs import find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Output
@@ -69,8 +67,8 @@ class SweepRun:
     """A run of a sweep; figures or error are known once it has ended."""
 
     out: Path
-    bag: Path
-    command: list[str]
+    bag: BagPath
+    settings: Settings
     combination: Combination
     error: str | None = None
     figures: dict[str, float] = field(default_factory=dict)
@@ -127,7 +125,7 @@ def sweep(
                 perform(random_of(parameters, search.random, search.seed))
             else:
                 perform(grid_of(parameters))
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         typer.echo("ffmap: interrupted; the same command continues the sweep", err=True)
         raise SystemExit(130) from None
     _write_table(out / SWEEP_TABLE, list(runs.values()))
@@ -283,41 +281,30 @@ class _Performer:
                 waiting.append(run)
         # The first run of each bag leaves the odometry in the cache for the others.
         first = list({run.bag: run for run in reversed(waiting)}.values())
-        self._perform(first)
-        self._perform([run for run in waiting if run not in first])
-        return [_mean([self.runs[run.out] for run in own], self.objective) for own in wanted]
+        perform = partial(_perform, self.options.model_copy(update={"workers": 1, "quiet": True}))
+        with make_pool(self.options.workers) as pool:
+            for batch in (first, [run for run in waiting if run not in first]):
+                for run, error in zip(batch, pool.map(perform, batch), strict=True):
+                    run.error = error
+                    self._end(run)
+        means: list[float | None] = []
+        for own in wanted:
+            found = [self.runs[run.out].figures for run in own]
+            known = all(self.objective in figures for figures in found)
+            mean = statistics.fmean(figures[self.objective] for figures in found) if known else None
+            means.append(mean)
+        return means
 
     def _make(self, bag: BagPath, combination: Combination) -> SweepRun:
         """Make the run of a bag; a hash of all that it depends on names its folder."""
-        kept = self.options.stored()
-        digests, evaluate = kept.pop("digests"), kept.pop("evaluate")
-        overrides = overrides_of(self.base, combination)
-        kept |= {"outputs": ",".join(kept["outputs"]), "set": overrides, "workers": 1}
-        words = ["--overwrite", "--quiet", *([] if evaluate else ["--no-evaluate"])]
-        for name, value in kept.items():
-            values = value if isinstance(value, list) else [] if value is None else [value]
-            words += [f"--{name.replace('_', '-')}={own}" for own in values]
-        known_by = json.dumps([words, digests, self.digests[bag], versions()], sort_keys=True)
-        name = f"{bag.stem}-{hashlib.sha256(known_by.encode()).hexdigest()[:8]}"
-        if self.options.scheduler is not None:
-            words.append(f"--scheduler={self.options.scheduler}")
-        command = ["run", *map(str, bag.parts), "--out", str(self.out / name), *words]
-        return SweepRun(self.out / name, bag.parts[0], command, combination)
-
-    def _perform(self, runs: Sequence[SweepRun]) -> None:
-        """Perform runs, each in a process; end all processes if interrupted."""
-        processes: set[subprocess.Popen[bytes]] = set()
-        with ThreadPoolExecutor(self.options.workers) as pool:
-            try:
-                futures = {pool.submit(_run_command, run.command, processes): run for run in runs}
-                for future in as_completed(futures):
-                    futures[future].error = future.result()
-                    self._end(futures[future])
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                for process in list(processes):
-                    process.terminate()
-                raise
+        values = {**self.base.flat(), **combination}
+        settings = load_settings(
+            None, [f"{name}={json.dumps(own)}" for name, own in values.items() if own is not None]
+        )
+        known_by = [self.options.stored(), settings.flat(), self.digests[bag], versions()]
+        text = json.dumps(known_by, sort_keys=True)
+        name = f"{bag.stem}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+        return SweepRun(self.out / name, bag, settings, combination)
 
     def _end(self, run: SweepRun, note: str = "") -> None:
         """Keep and print a run that has ended."""
@@ -331,14 +318,16 @@ class _Performer:
         self.progress.advance()
 
 
-def overrides_of(base: Settings, combination: Combination) -> list[str]:
-    """Return what differs from the default settings with a combination's values, as for --set."""
-    defaults = Settings().flat()
-    return [
-        f"{name}={json.dumps(value)}"
-        for name, value in {**base.flat(), **combination}.items()
-        if value != defaults[name]
-    ]
+def _perform(options: RunOptions, run: SweepRun) -> str | None:
+    """Perform a run; return its error, None if it succeeds."""
+    try:
+        run_bag(run.bag, run.settings, options, run.out, overwrite=True)
+    except InputError as error:
+        return str(error)
+    except Exception as error:
+        traceback.print_exc()
+        return f"{type(error).__name__}: {error}"
+    return None
 
 
 def _is_finished(folder: Path, evaluated: bool) -> bool:
@@ -350,36 +339,16 @@ def _is_finished(folder: Path, evaluated: bool) -> bool:
     return complete and (not evaluated or (folder / METRICS).exists())
 
 
-def _run_command(words: Sequence[str], processes: set[subprocess.Popen[bytes]]) -> str | None:
-    """Run ffmap in a process; return the last line of its errors, None if it succeeds.
-
-    processes: contains the process while it runs.
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-c", "from ffmap.app.cli import main; main()", *words],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        env={**ENVIRONMENT, **os.environ, **compiled_code()},
-    )
-    processes.add(process)
-    errors = process.communicate()[1].decode(errors="replace").strip().splitlines()
-    processes.discard(process)
-    if process.returncode == 0:
-        return None
-    return errors[-1] if errors else f"ended with exit code {process.returncode}"
-
-
-def _mean(runs: Sequence[SweepRun], name: str) -> float | None:
-    """Return the mean of a figure over the bags; None if a run lacks it."""
-    values = [run.figures[name] for run in runs if name in run.figures]
-    return statistics.fmean(values) if values and len(values) == len(runs) else None
-
-
 def _write_table(path: Path, runs: Sequence[SweepRun]) -> None:
     """Write one row for each run: folder, bag, error, settings and all figures."""
     rows: list[dict[str, Any]] = [
-        {"run": run.out.name, "bag": run.bag, "error": run.error, **run.combination, **run.figures}
+        {
+            "run": run.out.name,
+            "bag": run.bag.parts[0],
+            "error": run.error,
+            **run.combination,
+            **run.figures,
+        }
         for run in runs
     ]
     with written_whole(path) as part, part.open("w", newline="") as file:
