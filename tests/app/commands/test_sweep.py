@@ -52,9 +52,10 @@ def records(out: Path) -> dict[str, dict]:
 
 def wait_for_run(process: subprocess.Popen, out: Path, runs: int) -> None:
     """Wait until a sweep has begun some runs."""
-    end = time.monotonic() + 200
+    end = time.monotonic() + 1000
     while len(records(out)) < runs and process.poll() is None and time.monotonic() < end:
         time.sleep(0.02)
+    assert len(records(out)) >= runs
     assert process.poll() is None
 
 
