@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from ffmap.app.progress import Progress
 from ffmap.app.setup.settings import parse_value
-from ffmap.loaders.errors import InputError, first_problem
+from ffmap.loaders.errors import InputError
 
 if TYPE_CHECKING:
     from ffmap.loaders.simulator import SimulationSettings
@@ -58,4 +58,7 @@ def _settings(values: dict[str, Any], overrides: Sequence[str]) -> "SimulationSe
     try:
         return SimulationSettings.model_validate(values)
     except ValidationError as error:
-        raise InputError(f"simulate: {first_problem(error)}; give another value") from None
+        first = error.errors()[0]
+        name = str(first["loc"][0]) if first["loc"] else "settings"
+        given = f" = {values[name]!r}" if name in values else ""
+        raise InputError(f"simulate: {name}{given}: {first['msg']}; give another value") from None
