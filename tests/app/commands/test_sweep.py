@@ -30,7 +30,7 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import FFMAP, FFMAP_IN_FRONT, ffmap, with_cache
 
-GRID = ["--grid", "labelling.wall_distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
+GRID = ["--grid", "wall_planes.distance_m=0.01,0.045", "--grid", "building.scans_min=3"]
 Killed = tuple[Path, str]
 
 
@@ -95,7 +95,7 @@ def test_a_killed_sweep_continues_and_each_run_has_its_files_and_its_row(
     assert "compare:" in printed
     with (out / "sweep.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert {row["labelling.wall_distance_m"] for row in rows} == {"0.01", "0.045"}
+    assert {row["wall_planes.distance_m"] for row in rows} == {"0.01", "0.045"}
     for row in rows:
         names = {path.name for path in (out / row["run"]).iterdir()}
         assert {"recording.rrd", "evaluation.rrd", "labels.parquet", "map.yaml"} <= names
