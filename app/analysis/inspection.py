@@ -23,6 +23,7 @@ from ffmap.app.record.read_back import readable, rows
 from ffmap.app.run.blocks import seed_of
 from ffmap.app.run.given_poses import given_poses
 from ffmap.app.run.poses import estimate_poses
+from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.versions import git_revision
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
@@ -33,21 +34,7 @@ from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_scans
 
-
-@dataclass(frozen=True)
-class LabelChange:
-    """Returns of a scan with the same labels before and after the building, and the same reason.
-
-    wrong: how many are wrong; None without ground truth.
-    off_face_m: median distance to the nearest wall face; None if most have none near.
-    """
-
-    before: str
-    after: str
-    reason: str
-    count: int
-    wrong: int | None
-    off_face_m: float | None
+CHANGE_HEADINGS = "returns", "wrong", "by the scan", "final", "reason", "to the nearest face"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +44,7 @@ class InspectedScan:
     lidar: a sentence on which of several lidars it is from; None if there is one.
     differing: number of returns with another `label_scan` in the run; None if unknown.
     faults: of its final labels; None if unknown.
-    changes: of its labels by the building, most frequent first.
+    changes: of its labels by the building as rows under `CHANGE_HEADINGS`, most frequent first.
     """
 
     level: LevelledScan
@@ -65,7 +52,7 @@ class InspectedScan:
     lidar: str | None
     differing: int | None
     faults: ScanFaults | None
-    changes: tuple[LabelChange, ...]
+    changes: list[tuple[str, ...]]
 
 
 def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> InspectedScan:
@@ -74,31 +61,20 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     bag: where the run's bag is now; None for where it was.
     Raises InputError if the bag is missing or another, the scan out of range or skipped.
     """
-    bag_path = bag or run.bag_path
-    missing = run.path if bag_path is None else bag_path.missing
-    if bag_path is None or missing is not None:
-        raise InputError(f"{missing}: no such bag. Pass the bag of the run with --bag")
-    settings, options = run.settings(), run.options
-    inputs = run.find_inputs(bag_path)
-    bag_digest = fingerprint(inputs.bag_path)
-    if run.bag_digest not in (None, bag_digest):
-        raise InputError(
-            f"{bag_path}: is not the bag of {run.path}. Pass the bag of the run with --bag"
-        )
-    if not inputs.verticals:
-        raise InputError(f"{run.path}: its bag has no vertical lidar, so no scan was labelled")
+    settings = run.settings()
+    inputs, digest = _find_inputs(run, bag)
     if not 0 <= number < len(inputs.scans):
         last = len(inputs.scans) - 1
         raise InputError(f"--scan {number}: {run.name} has scans 0 to {last}")
     vertical = inputs.verticals[inputs.scans.lidar[number]]
     cloud, lidar = int(inputs.scans.cloud[number]), vertical.lidar
-    with open_bag(bag_path) as opened:
+    with open_bag(inputs.bag_path) as opened:
         _, scan = next(read_scans(opened, vertical.index, cloud, 1, lidar.decoding))
     if isinstance(scan, SkippedScan):
         raise _skipped(number, scan.reason)
     scan = within_range(scan, settings.scan.range_max_m)
-    given = given_poses(options.trajectory, inputs, settings, options.trajectory_frame)
-    poses = estimate_poses(inputs, given, settings, lambda: bag_digest)
+    given = given_poses(run.options.trajectory, inputs, settings, run.options.trajectory_frame)
+    poses = estimate_poses(inputs, given, settings, lambda: digest)
     swept_ns = np.array([scan.start_ns, scan.end_ns])
     if not poses.registered.covers(swept_ns, EXTRAPOLATE_NS).all():
         raise _skipped(number, "no pose at its time")
@@ -121,14 +97,32 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         failed = SkippedScan.failed(number, scan.stamp_ns, error)
         raise _skipped(number, failed.reason) from error
     final, differing = _recorded_labels(run, number, scan, labelling.label)
-    faults, changes = None, _changes(run, number, None)
+    faults, changed_wrongly = None, None
     if final is not None:
         changed, wrong = final != labelling.label, _wrong(run, number, len(scan))
         faults = _find_faults(changed, wrong)
-        changes = _changes(run, number, None if wrong is None else wrong[changed])
+        changed_wrongly = wrong[changed] if wrong is not None else None
+    changes = _changes(run, number, changed_wrongly)
     several = len(inputs.verticals) > 1
     which = f"Scan {number} is cloud {cloud} of {lidar.topic}." if several else None
     return InspectedScan(level, labelling, which, differing, faults, changes)
+
+
+def _find_inputs(run: FinishedRun, bag: BagPath | None) -> tuple[Inputs, str]:
+    """Find the inputs of a run, and the fingerprint of its bag."""
+    path = bag or run.bag_path
+    missing = run.path if path is None else path.missing
+    if path is None or missing is not None:
+        raise InputError(f"{missing}: no such bag. Pass the bag of the run with --bag")
+    inputs = run.find_inputs(path)
+    digest = fingerprint(inputs.bag_path)
+    if run.bag_digest not in (None, digest):
+        raise InputError(
+            f"{path}: is not the bag of {run.path}. Pass the bag of the run with --bag"
+        )
+    if not inputs.verticals:
+        raise InputError(f"{run.path}: its bag has no vertical lidar, so no scan was labelled")
+    return inputs, digest
 
 
 def _skipped(number: int, reason: str) -> InputError:
@@ -203,40 +197,40 @@ def _find_faults(changed: BoolArray, wrong: BoolArray | None) -> ScanFaults:
     return ScanFaults(fault.astype(np.uint8), by_truth=wrong is not None)
 
 
-def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> tuple[LabelChange, ...]:
-    """Read the changes of a scan's labels from the recording, most frequent first.
+def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> list[tuple[str, ...]]:
+    """Read the changes of a scan's labels from the recording; see `InspectedScan`.
 
     wrong: (c,) whether each changed label is wrong; None if unknown.
     """
     if run.recording is None:
-        return ()
+        return []
     with readable(run.recording) as recording:
         found = rows(recording.path, entities.RELABELLED, entities.POINT_REASON)
         values = next((row.values for row in found if row.scan == number), None)
     if values is None:
-        return ()
+        return []
     names = entities.POINT_LABEL_SCAN, "class_ids", entities.POINT_REASON
     codes = np.column_stack([values[name] for name in names])
     off_face_m = values[entities.POINT_OFF_FACE].astype(np.float64)
     if wrong is not None and len(wrong) != len(codes):
         wrong = None  # the recording was cut, or is of other labels
     kinds, kind, counts = np.unique(codes, axis=0, return_inverse=True, return_counts=True)
-    changes = []
+    changes: list[tuple[str, ...]] = []
     for k in np.argsort(-counts, kind="stable"):
         own = kind.ravel() == k
         before, after, reason = kinds[k].tolist()
         median_m = float(np.median(off_face_m[own]))
         changes.append(
-            LabelChange(
-                before=entities.CLASSES[before][0],
-                after=entities.CLASSES[after][0],
-                reason=REASONS[reason],
-                count=int(counts[k]),
-                wrong=None if wrong is None else int(np.count_nonzero(wrong[own])),
-                off_face_m=median_m if np.isfinite(median_m) else None,
+            (
+                f"{counts[k]:,}",
+                "–" if wrong is None else f"{np.count_nonzero(wrong[own]):,}",
+                entities.CLASSES[before][0],
+                entities.CLASSES[after][0],
+                REASONS[reason],
+                f"{100 * median_m:.1f} cm" if np.isfinite(median_m) else "–",
             )
         )
-    return tuple(changes)
+    return changes
 
 
 def _wrong(run: FinishedRun, number: int, count: int) -> BoolArray | None:

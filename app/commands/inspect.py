@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from ffmap.app.analysis.inspection import (
-    InspectedScan,
+    CHANGE_HEADINGS,
     agreement,
     faults_in_words,
     find_worst,
@@ -20,7 +20,6 @@ from ffmap.app.folder.names import check_no_run_loses, require_writable
 from ffmap.app.record.inspection import ExplainedScan, write
 from ffmap.app.record.line_reasons import (
     CONDITION_HEADINGS,
-    LineReason,
     condition_rows,
     explain_lines,
     name_of,
@@ -80,14 +79,19 @@ def inspect(
     for note in notes:
         typer.echo(_MARKDOWN.sub("", note))
     if line is None:
-        _print_changes(inspected)
+        if inspected.changes:
+            title = "Why the building changed its labels"
+            _print(title, CHANGE_HEADINGS, inspected.changes, (2, 3, 4))
         outcomes = [
             (str(sum(reason.outcome == outcome for reason in reasons)), name)
             for outcome, (name, _) in LINE_OUTCOMES.items()
         ]
         _print("Outcomes of its lines", ("lines", "outcome"), outcomes, (1,))
     if opened is not None:
-        _print_reason(reasons[opened])
+        reason = reasons[opened]
+        title = f"{name_of(reason.line)}: {LINE_OUTCOMES[reason.outcome][0]}"
+        _print(title, CONDITION_HEADINGS, condition_rows(reason.conditions), (0, 1, 2, 3))
+        typer.echo(reason.sentence)
     typer.echo(f"recording: {target}  (open it: ffmap view {target}; move the timeline 'line')")
     if spawn:
         open_viewer(target)
@@ -117,26 +121,3 @@ def _print(
     title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int]
 ) -> None:
     Console(highlight=False).print(make_table(title, headings, rows, left=left))
-
-
-def _print_changes(inspected: InspectedScan) -> None:
-    rows = [
-        (
-            f"{change.count:,}",
-            "–" if change.wrong is None else f"{change.wrong:,}",
-            change.before,
-            change.after,
-            change.reason,
-            "–" if change.off_face_m is None else f"{100 * change.off_face_m:.1f} cm",
-        )
-        for change in inspected.changes
-    ]
-    if rows:
-        headings = "returns", "wrong", "by the scan", "final", "reason", "to the nearest face"
-        _print("Why the building changed its labels", headings, rows, (2, 3, 4))
-
-
-def _print_reason(reason: LineReason) -> None:
-    title = f"{name_of(reason.line)}: {LINE_OUTCOMES[reason.outcome][0]}"
-    _print(title, CONDITION_HEADINGS, condition_rows(reason.conditions), (0, 1, 2, 3))
-    typer.echo(reason.sentence)
