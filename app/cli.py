@@ -186,22 +186,15 @@ def rigs(
     ffmap rigs mars > my.toml
     ```
     """
-    from ffmap.app.tables import make_table, table_console
     from ffmap.loaders.rig_file import built_in_path, built_in_rigs
 
     if name is not None:
         typer.echo(built_in_path(name).read_text(encoding="utf-8"), nl=False)
         return
-    known = built_in_rigs()
-    rows = [
-        (rig.name if n == 0 else "", lidar.sensor or "", lidar.topic or "", lidar.frame or "")
-        for rig in known
-        for n, lidar in enumerate(rig.lidars)
-    ]
-    headings = ("name", "lidars", "topics", "frames")
-    table_console().print(make_table(None, headings, rows, left=range(4)))
-    for rig in known:
+    for rig in built_in_rigs():
         typer.echo(f"{rig.name}: {rig.description}; source: {rig.source}")
+        for lidar in rig.lidars:
+            typer.echo(f"  {lidar.sensor or '':<16} {lidar.topic or '':<38} {lidar.frame or ''}")
 
 
 @app.command()

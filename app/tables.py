@@ -4,18 +4,8 @@ import math
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from rich.console import Console, JustifyMethod
+from rich.console import JustifyMethod
 from rich.table import Table
-
-_WIDTH = 120
-
-
-def table_console() -> Console:
-    """Return a console on standard output; outside a terminal it has at least 120 columns."""
-    console = Console(highlight=False)
-    if console.is_terminal:
-        return console
-    return Console(highlight=False, width=max(console.width, _WIDTH))
 
 
 def make_table(
@@ -23,14 +13,13 @@ def make_table(
     headings: Sequence[str],
     rows: Iterable[Iterable[str]],
     left: Collection[int] = (0,),
-    no_wrap: bool = False,
     **options: Any,  # noqa: ANN401 - Rich's own
 ) -> Table:
     """Return a table of right-justified columns, except those in `left`. Long cells are folded."""
     table = Table(title=title, title_justify="left", **options)
     for number, heading in enumerate(headings):
         justify: JustifyMethod = "left" if number in left else "right"
-        table.add_column(heading, justify=justify, no_wrap=no_wrap, overflow="fold")
+        table.add_column(heading, justify=justify, overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table

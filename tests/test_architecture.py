@@ -1,8 +1,7 @@
-"""Imports point one way: between the top-level folders by the linter's bans, between the rooms in them by a test."""
+"""Imports point one way: between top-level folders by the linter's bans, between rooms by a test."""
 
 import ast
 import os
-import re
 import subprocess
 import sys
 import tomllib
@@ -12,15 +11,6 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 TOP = ("algorithms", "blueprints", "loaders", "app")
-BANNED = {
-    "algorithms/scan": ("ffmap.app", "ffmap.blueprints", "ffmap.loaders", "rerun", "kiss_icp", "embreex"),
-    "loaders": ("ffmap.app", "ffmap.blueprints", "rerun", "gtsam", "embreex"),
-    "blueprints": ("ffmap.app", "ffmap.loaders", "small_gicp"),
-    "app/run": ("rerun", "kiss_icp", "small_gicp", "gtsam", "embreex", "dask", "distributed", "optuna", "pickle"),
-    "app/record": ("gtsam", "pickle"),
-    "tests": ("optuna", "pickle"),
-}
-"""Some of what the linter is to find, by folder."""
 ROOMS = {
     "algorithms": ("base", "scan", "poses", "building", "maps", "truth"),
     "app": ("setup", "folder", "record", "run", "analysis", "commands"),
@@ -39,37 +29,28 @@ def imported(path: Path) -> set[tuple[str, ...]]:
     return {tuple(module.split(".")[1:]) for module in modules if module.startswith("ffmap.")}
 
 
-@pytest.mark.parametrize("folder", BANNED)
-def test_the_linter_finds_what_a_folder_may_not_import(folder: str) -> None:
-    banned = BANNED[folder]
-    planted = "".join(f"def f{i}() -> None:\n    import {module}.part\n" for i, module in enumerate(banned))
-    ruff = [sys.executable, "-m", "ruff", "check", "--select", "TID251", "--output-format", "concise"]
-    told = subprocess.run(
-        [*ruff, "--stdin-filename", f"{folder}/planted.py", "-"],
-        input=planted,
-        cwd=ROOT,
-        text=True,
-        capture_output=True,
-    )
-    assert re.findall(r"TID251 `([\w.]+)` is banned", told.stdout) == list(banned), told
-
-
-@pytest.mark.parametrize(("folder", "room"), [(folder, room) for folder, rooms in ROOMS.items() for room in rooms])
+@pytest.mark.parametrize(
+    ("folder", "room"), [(folder, room) for folder, rooms in ROOMS.items() for room in rooms]
+)
 def test_a_room_uses_only_those_before_it(folder: str, room: str) -> None:
     rooms = ROOMS[folder]
     later = set(rooms[rooms.index(room) + 1 :])
     files = sorted((ROOT / folder / room).rglob("*.py"))
     assert files
     for path in files:
-        backwards = {".".join(parts) for parts in imported(path) if parts[0] == folder and parts[1] in later}
+        backwards = {
+            ".".join(parts) for parts in imported(path) if parts[0] == folder and parts[1] in later
+        }
         assert not backwards, path.relative_to(ROOT)
 
 
 @pytest.mark.parametrize("folder", ROOMS)
 def test_every_room_is_known(folder: str) -> None:
-    assert {path.name for path in (ROOT / folder).iterdir() if path.is_dir() and path.name != "__pycache__"} == set(
-        ROOMS[folder]
-    )
+    assert {
+        path.name
+        for path in (ROOT / folder).iterdir()
+        if path.is_dir() and path.name != "__pycache__"
+    } == set(ROOMS[folder])
 
 
 def test_every_folder_is_installed() -> None:
@@ -83,18 +64,12 @@ def test_the_folders_are_installed_as_one_package(tmp_path: Path) -> None:
     for folder in TOP:
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "__init__.py").write_text("raise ImportError('another program')")
-    mapping = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-dir"]
+    mapping = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"][
+        "package-dir"
+    ]
     assert mapping == {f"ffmap.{folder}": folder for folder in TOP}
     command = [Path(sys.executable).with_name("ffmap"), "settings"]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     told = subprocess.run(command, cwd=tmp_path, env=environment, text=True, capture_output=True)
     assert told.returncode == 0, told.stderr
     assert "similarity_m" in told.stdout
-
-
-def test_tests_lie_where_the_code_does() -> None:
-    for path in (ROOT / "tests").rglob("test_*.py"):
-        folder = path.parent.relative_to(ROOT / "tests")
-        if folder.parts and folder.parts[0] in TOP:
-            assert (ROOT / folder).is_dir(), path
-            assert re.fullmatch(r"test_\w+\.py", path.name)

@@ -24,7 +24,6 @@ from ffmap.app.run.sampled_scans import map_of, scans_of
 from ffmap.app.setup.inputs import Inputs, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import Settings, load_settings
-from ffmap.app.tables import make_table, table_console
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.fingerprint import fingerprint
@@ -148,14 +147,11 @@ def _print(checked: CheckedExtrinsics) -> None:
     found = checked.found
     if not checked.alone:
         typer.echo(f"{checked.topic}:")
-    rows = []
     for parameter, change, sigma in zip(_PARAMETERS, checked.change, found.sigma, strict=True):
         name, unit, known_max, advice = parameter
         change, sigma = _UNITS[unit] * change, _UNITS[unit] * sigma
-        advice = advice if sigma > known_max else ""
-        rows.append((name, f"{change:+.2f} {unit}", f"{sigma:.2f} {unit}", advice))
-    headings = ("", "change", "1 sigma", "to improve")
-    table_console().print(make_table(None, headings, rows, left=(0, 3)))
+        advice = f"  to improve: {advice}" if sigma > known_max else ""
+        typer.echo(f"  {name:<5} changed by {change:+8.2f} {unit:<3} (1 sigma {sigma:.2f}){advice}")
     before, after = 100 * found.rms_before_m, 100 * found.rms_after_m
     typer.echo(
         f"distance of both lidars' surfaces: {before:.2f} cm as given, {after:.2f} cm refined, "

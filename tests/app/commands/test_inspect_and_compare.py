@@ -1,4 +1,4 @@
-"""`ffmap inspect` and `ffmap compare` on real runs: what they say is what the runs' own files hold, point by point."""
+"""`ffmap inspect` and `ffmap compare` on real runs agree with the files of the runs."""
 
 import json
 import os

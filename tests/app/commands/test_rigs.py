@@ -15,7 +15,7 @@ def test_rigs_are_listed_and_printed(tmp_path: Path) -> None:
         assert f"{rig.name}: {rig.description}; source: {rig.source}" in listed
         for lidar in rig.lidars:
             assert f"{lidar.topic} " in listed
-            assert f"{lidar.frame} " in listed
+            assert f"{lidar.frame}\n" in listed
     assert ffmap_here(environment, "rigs", "mars").stdout == built_in_path("mars").read_text()
     unknown = ffmap_here(environment, "rigs", "mrs")
     assert (unknown.returncode, unknown.stderr.count("\n")) == (2, 1)

@@ -30,7 +30,7 @@ def ffmap(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
 
 
 def two_rooms(free: int = 254, wall: int = 0, outside: int = 205) -> np.ndarray:
-    """Rooms of 4 × 5 m and 5 × 5 m with a door of 0.9 m between them, the first row of pixels uppermost."""
+    """Rooms of 4 × 5 m and 5 × 5 m with a door of 0.9 m between them; the first row is the top."""
     pixels = np.full((140, 220), outside, np.uint8)
     pixels[16:124, 16:206] = wall
     pixels[20:120, 20:100] = free
@@ -126,20 +126,11 @@ def test_the_picture_and_the_recording_show_the_rooms(ffmap, tmp_path: Path) -> 
     with Image.open(out / "rooms.png") as image:
         pixels = np.asarray(image.convert("RGB"))
     left, right = pixels[pixels.shape[0] // 4, [pixels.shape[1] // 4, 3 * pixels.shape[1] // 4]]
-    assert np.ptp(left) > 40
-    assert np.ptp(right) > 40
+    assert min(np.ptp(left), np.ptp(right)) > 40
     assert np.abs(left.astype(int) - right).max() > 40
-    store = RrdReader(out / "rooms.rrd").stream().collect()
-    paths = {str(chunk.entity_path) for chunk in store.stream()}
-    parts = ("floors", "names", "passages")
-    assert {*(f"/world/rooms/{part}" for part in parts), "/rooms/graph"} <= paths
-    columns: dict[str, list] = {}
-    for chunk in store.stream():
-        if str(chunk.entity_path) == "/rooms/graph":
-            columns |= chunk.to_record_batch().to_pydict()
-    assert columns["GraphNodes:node_ids"] == [["room 1", "room 2"]]
-    ((edge,),) = columns["GraphEdges:edges"]
-    assert set(edge.values()) == {"room 1", "room 2"}
+    paths = {chunk.entity_path for chunk in RrdReader(out / "rooms.rrd").stream()}
+    assert {f"/world/rooms/{part}" for part in ("floors", "names", "passages")} <= paths
+    assert "/rooms/graph" in paths
 
 
 def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_path: Path) -> None:
@@ -200,46 +191,27 @@ def test_known_doors_part_rooms(ffmap, tmp_path: Path) -> None:
     assert [feature["properties"]["doors"] for feature in features(tmp_path / "with")] == [[0], [0]]
 
 
-def test_what_is_no_map_is_told_in_one_line(ffmap, tmp_path: Path) -> None:
-    assert_one_line(
-        ffmap("rooms", "nothing.png", "--resolution", 0.05), "nothing.png", "is not there"
-    )
-    assert_one_line(ffmap("rooms", "nothing.yaml"), "nothing.yaml", "is not there")
-    save(tmp_path / "good.png", two_rooms())
-    assert_one_line(ffmap("rooms", "good.png"), "--resolution")
-    for wrong in ("0", "-1", "nan", "inf"):
-        assert_one_line(ffmap("rooms", "good.png", "--resolution", wrong), "--resolution")
-    for name, pixels in (
-        ("black", np.zeros((9, 9), np.uint8)),
-        ("unknown", np.full((9, 9), 205, np.uint8)),
-    ):
-        assert_one_line(
-            ffmap("rooms", save(tmp_path / f"{name}.png", pixels), "--resolution", 0.05),
-            "no free cell",
-        )
-    one = save(tmp_path / "one.png", np.full((1, 1), 254, np.uint8))
-    assert_one_line(ffmap("rooms", one, "--resolution", 0.05), "one.png", "no room")
+def test_what_is_no_map_is_refused_in_one_line(ffmap, tmp_path: Path) -> None:
+    whole = save(tmp_path / "good.png", two_rooms()).read_bytes()
+    save(tmp_path / "black.png", np.zeros((9, 9), np.uint8))
+    save(tmp_path / "one.png", np.full((1, 1), 254, np.uint8))
+    save(tmp_path / "small.png", np.full((9, 9), 255, np.uint8))
     (tmp_path / "text.png").write_text("no image")
-    assert_one_line(ffmap("rooms", "text.png", "--resolution", 0.05), "text.png", "no image")
-    Image.fromarray(np.full((9, 9), 9000, np.uint16)).save(tmp_path / "deep.png")
-    assert_one_line(ffmap("rooms", "deep.png", "--resolution", 0.05), "deep.png", "8 bits")
-    whole = (tmp_path / "good.png").read_bytes()
     (tmp_path / "cut.png").write_bytes(whole[: len(whole) // 2])
-    assert_one_line(ffmap("rooms", "cut.png", "--resolution", 0.05), "cut.png")
-    small = save(tmp_path / "small.png", np.full((9, 9), 255, np.uint8))
-    assert_one_line(
-        ffmap("rooms", "good.png", "--resolution", 0.05, "--truth", small), "small.png", "9 × 9"
-    )
-    assert_one_line(ffmap("rooms", tmp_path, "--resolution", 0.05), "no map has rooms beside it")
     (tmp_path / "doors.geojson").write_text("[]")
-    assert_one_line(
-        ffmap("rooms", "good.png", "--resolution", 0.05, "--doors", "doors.geojson"),
-        "doors.geojson",
-    )
     (tmp_path / "file").write_text("")
-    assert_one_line(
-        ffmap("rooms", "good.png", "--resolution", 0.05, "--out", "file"), "file", "--out"
-    )
-    assert_one_line(
-        ffmap("rooms", "good.png", "--resolution", 0.05, "--set", "area_graph.nothing=1"), "nothing"
-    )
+    for words, named in (
+        (["nothing.yaml"], "is not there"),
+        (["good.png"], "--resolution"),
+        (["good.png", "--resolution", "nan"], "--resolution"),
+        (["black.png", "--resolution", 0.05], "no free cell"),
+        (["one.png", "--resolution", 0.05], "no room"),
+        (["text.png", "--resolution", 0.05], "no image"),
+        (["cut.png", "--resolution", 0.05], "cut.png"),
+        (["good.png", "--resolution", 0.05, "--truth", "small.png"], "9 × 9"),
+        ([".", "--resolution", 0.05], "no map has rooms beside it"),
+        (["good.png", "--resolution", 0.05, "--doors", "doors.geojson"], "doors.geojson"),
+        (["good.png", "--resolution", 0.05, "--out", "file"], "file"),
+        (["good.png", "--resolution", 0.05, "--set", "area_graph.nothing=1"], "nothing"),
+    ):
+        assert_one_line(ffmap("rooms", *words), named)
