@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -42,17 +43,21 @@ from tests.program import (
     FFMAP_IN_FRONT,
     ffmap,
     ffmap_here,
-    with_cache,
 )
 from tests.receiver import content, receiving, shown
 
 ROOT = Path(__file__).parents[3]
+MAP_NAMES = ("map", *(f"map_{rival}" for rival in Rival))
 UPRIGHT_TOPIC = "/horizontal_velodyne/velodyne_points"
 
 
-@pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return {**with_cache(tmp_path_factory.mktemp("cache")), "COLUMNS": "200"}
+@pytest.fixture(scope="module", autouse=True)
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A cache of odometries for these tests, and a wide terminal."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FFMAP_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("COLUMNS", "200")
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -71,11 +76,11 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture(scope="module")
 def finished_as_said(
-    bags: dict[str, Path], environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+    bags: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """A run on the ROS 1 bag, and what it said."""
     out = tmp_path_factory.mktemp("runs") / "whole"
-    done = ffmap(environment, "run", bags["bag"], "--out", out)
+    done = ffmap(dict(os.environ), "run", bags["bag"], "--out", out)
     assert done.returncode == 0, done.stderr
     return out, done
 
@@ -88,6 +93,10 @@ def finished(finished_as_said: tuple[Path, subprocess.CompletedProcess[str]]) ->
 
 def read(run: Path, name: str) -> dict[str, Any]:
     return json.loads((run / name).read_text())
+
+
+def here(*words: object) -> subprocess.CompletedProcess[str]:
+    return ffmap_here(dict(os.environ), *words)
 
 
 def assert_one_line_error(done: subprocess.CompletedProcess[str], *words: str) -> None:
@@ -110,59 +119,47 @@ def write_empty_clouds(path: Path) -> Path:
     return write_bag(path, clouds)
 
 
-def said_at_the_end(done: subprocess.CompletedProcess[str]) -> dict[str, str]:
-    return {
-        name: text.strip()
-        for name, text in (line.split(":", 1) for line in done.stdout.splitlines())
-    }
+def printed(done: subprocess.CompletedProcess[str]) -> dict[str, str]:
+    """The five lines at the end of a run."""
+    lines = dict(line.split(":", 1) for line in done.stdout.splitlines()[-5:])
+    assert list(lines) == ["made", "quality", "results", "look", "warnings"]
+    return {name: text.strip() for name, text in lines.items()}
 
 
-def test_five_lines_tell_of_a_finished_run(
+def test_five_lines_summarize_a_run(
     finished_as_said: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
     out, done = finished_as_said
-    record, metrics = (read(out, name) for name in ("run.json", "metrics.json"))
-    said = said_at_the_end(done)
-    assert list(said) == ["made", "quality", "results", "look", "warnings"]
-    counts = record["counts"]
-    assert f"{counts['scans']} of {counts['clouds']} scans" in said["made"]
-    assert f"{counts['doors']} doors, {counts['rooms']} rooms" in said["made"]
-    assert f"wall F1 {100 * metrics['wall.f1']:.2f} %" in said["quality"]
-    assert str(out / "metrics.json") in said["quality"]
-    assert said["results"] == str(out)
-    assert said["look"].endswith(str(out))
-    assert said["warnings"] == "none"
+    counts, metrics = read(out, "run.json")["counts"], read(out, "metrics.json")
+    lines = printed(done)
+    assert f"{counts['scans']} of {counts['clouds']} scans" in lines["made"]
+    assert f"{counts['doors']} doors, {counts['rooms']} rooms" in lines["made"]
+    assert f"wall F1 {100 * metrics['wall.f1']:.2f} %" in lines["quality"]
+    assert str(out / "metrics.json") in lines["quality"]
+    assert lines["results"] == str(out)
+    assert lines["look"].endswith(str(out))
+    assert lines["warnings"] == "none"
 
 
-def test_tables_come_when_asked_for_and_warnings_are_counted(
-    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
+def test_a_cut_bag_is_processed_up_to_the_cut_with_a_warning(
+    bags: dict[str, Path], tmp_path: Path
 ) -> None:
     whole = bags["bag"].read_bytes()
-    cut = tmp_path / "cut.bag"
-    cut.write_bytes(whole[: int(0.9 * len(whole))])
+    cut, out = tmp_path / "cut.bag", tmp_path / "run"
+    cut.write_bytes(whole[: int(0.7 * len(whole))])
     options = ("--outputs", "maps", "--workers", "1")
-    tables = ffmap_here(environment, "run", cut, "--out", tmp_path / "a", *options, "-v")
-    assert tables.returncode == 0, tables.stderr
-    assert "ATE RMSE" in tables.stdout
-    warnings = json.loads((tmp_path / "a" / "run.json").read_text())["warnings"]
-    last = tables.stdout.splitlines()[-5:]
-    assert [line.split(":")[0] for line in last] == [
-        "made",
-        "quality",
-        "results",
-        "look",
-        "warnings",
-    ]
-    assert last[-1].split()[1] == f"{len(warnings)},"
-    assert last[-1].endswith(warnings[0])
-    assert "not compared: labels" in last[1]
-    said = said_at_the_end(
-        ffmap_here(environment, "run", cut, "--out", tmp_path / "b", *options, "--no-evaluate")
-    )
-    assert "--no-evaluate" in said["quality"]
-    assert not ffmap_here(
-        environment, "run", cut, "--out", tmp_path / "c", *options, "--no-evaluate", "--quiet"
-    ).stdout
+    done = here("run", cut, "--out", out, *options, "-v")
+    assert done.returncode == 0, done.stderr
+    assert "warning" in done.stderr
+    assert "ATE RMSE" in done.stdout
+    record, lines = read(out, "run.json"), printed(done)
+    assert 10 < record["counts"]["scans"] < 30
+    assert lines["warnings"].startswith(f"{len(record['warnings'])},")
+    assert lines["warnings"].endswith(record["warnings"][0])
+    assert "not compared: labels" in lines["quality"]
+    options += ("--no-evaluate", "--overwrite")
+    assert "--no-evaluate" in printed(here("run", cut, "--out", out, *options))["quality"]
+    assert not here("run", cut, "--out", out, *options, "--quiet").stdout
 
 
 def test_rooms_doors_topology_and_recording_agree(finished: Path) -> None:
@@ -241,11 +238,10 @@ def test_every_container_gives_the_same_labels(
     container: str,
     bags: dict[str, Path],
     finished: Path,
-    environment: dict[str, str],
     tmp_path: Path,
 ) -> None:
     options = ("--no-evaluate", "--detail", "map", "--workers", "1", "--outputs", "labelled-bag")
-    done = ffmap_here(environment, "run", bags[container], "--out", tmp_path / "run", *options)
+    done = here("run", bags[container], "--out", tmp_path / "run", *options)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "labelled").is_dir()
     ours, theirs = (read(run, "run.json")["labels_digest"] for run in (tmp_path / "run", finished))
@@ -253,7 +249,7 @@ def test_every_container_gives_the_same_labels(
 
 
 def test_a_run_is_not_resumed_with_other_inputs(
-    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+    bags: dict[str, Path], finished: Path, tmp_path: Path
 ) -> None:
     out, bag = Path(shutil.copytree(finished, tmp_path / "run")), tmp_path / "drive.bag"
     shutil.copy(bags["bag"], bag)
@@ -271,8 +267,8 @@ def test_a_run_is_not_resumed_with_other_inputs(
         (out / "run.json").write_text(json.dumps(record | changed))
         if changed == {"outcome": "aborted"}:
             flip_a_bit(bag, UPRIGHT_TOPIC, 3)
-        assert_one_line_error(ffmap_here(environment, "run", "--resume", out), *words)
-    assert "complete already" in ffmap_here(environment, "run", "--resume", finished).stdout
+        assert_one_line_error(here("run", "--resume", out), *words)
+    assert "complete already" in here("run", "--resume", finished).stdout
 
 
 def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
@@ -286,78 +282,46 @@ def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
         found.close()
 
 
-def test_cut_bag_is_processed_up_to_the_cut(
-    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
-) -> None:
-    whole = bags["bag"].read_bytes()
-    cut = tmp_path / "cut.bag"
-    cut.write_bytes(whole[: int(0.7 * len(whole))])
-    done = ffmap_here(
-        environment, "run", cut, "--out", tmp_path / "run", "--no-evaluate", "--detail", "map"
-    )
-    assert done.returncode == 0, done.stderr
-    assert "warning" in done.stderr
-    record = read(tmp_path / "run", "run.json")
-    assert 10 < record["counts"]["scans"] < 30
-    assert record["warnings"]
-
-
 def test_mistakes_are_one_line_and_leave_earlier_results_alone(
-    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+    bags: dict[str, Path], finished: Path, tmp_path: Path
 ) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in finished.iterdir()}
-    missing = tmp_path / "none.bag"
-    assert_one_line_error(ffmap_here(environment, "run", missing, "--out", finished), "none.bag")
-    text = tmp_path / "text.bag"
+    text, foreign = tmp_path / "text.bag", tmp_path / "foreign"
     text.write_text("this is no bag\n")
-    assert_one_line_error(ffmap_here(environment, "run", text, "--out", finished), "text.bag")
-    assert_one_line_error(ffmap_here(environment, "info", text), "text.bag")
-    done = ffmap_here(
-        environment, "run", bags["bag"], "--out", finished, "--set", "wall_planes.similarty_m=0.05"
-    )
-    assert_one_line_error(done, "similarty_m", "wall_planes.similarity_m")
-    done = ffmap_here(environment, "run", bags["bag"], "--out", finished, "--vertical", "/nothing")
-    assert_one_line_error(done, "/nothing")
-    assert_one_line_error(ffmap_here(environment, "run", "--resume", tmp_path), "run.json")
-    assert_one_line_error(ffmap_here(environment, "evaluate", tmp_path), str(tmp_path))
-    dead = "rerun+http://127.0.0.1:1/proxy"
-    done = ffmap_here(
-        environment, "run", bags["bag"], "--out", finished, "--overwrite", "--connect", dead
-    )
-    assert_one_line_error(done, "--connect", "127.0.0.1:1")
-    assert_one_line_error(
-        ffmap_here(environment, "run", bags["bag"], "--out", finished),
-        "finished run",
-        "--overwrite",
-    )
-    assert_one_line_error(
-        ffmap_here(environment, "run", "--resume", finished, "--overwrite"), "--resume"
-    )
-    foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "small.bag").write_text("mine")
-    for command in (("run", bags["bag"]), ("demo",)):
-        done = ffmap_here(environment, *command, "--out", foreign)
-        assert_one_line_error(done, "foreign", "--out")
-        done = ffmap_here(environment, *command, "--out", text / "run")
-        assert_one_line_error(done, str(text), "--out")
-    assert (foreign / "small.bag").read_text() == "mine"
     nothing = write_empty_clouds(tmp_path / "nothing.bag")
-    done = ffmap_here(environment, "run", nothing, "--out", finished)
-    assert done.returncode == 2
-    assert "no usable cloud" in done.stderr
+    run, out = ("run", bags["bag"]), ("--out", finished)
+    dead = "rerun+http://127.0.0.1:1/proxy"
+    for words, named in (
+        (("run", tmp_path / "none.bag", *out), "none.bag"),
+        (("run", text, *out), "text.bag"),
+        (("info", text), "text.bag"),
+        ((*run, *out, "--set", "wall_planes.similarty_m=1"), "wall_planes.similarity_m"),
+        ((*run, *out, "--vertical", "/nothing"), "/nothing"),
+        ((*run, *out, "--overwrite", "--connect", dead), "127.0.0.1:1"),
+        ((*run, *out), "finished run"),
+        ((*run, "--out", foreign), "foreign"),
+        ((*run, "--out", text / "run"), "text.bag"),
+        (("demo", "--out", foreign), "small.bag"),
+        (("demo", "--out", text / "run"), "text.bag"),
+        (("run", "--resume", tmp_path), "run.json"),
+        (("run", "--resume", finished, "--overwrite"), "--resume"),
+        (("run",), "--resume"),
+        (("evaluate", tmp_path), str(tmp_path)),
+        (("run", nothing, *out), "no usable cloud"),
+    ):
+        assert_one_line_error(here(*words), named)
+    assert (foreign / "small.bag").read_text() == "mine"
     assert {path.name: path.stat().st_mtime_ns for path in finished.iterdir()} == before
 
 
-def test_little_free_space_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        pipeline.shutil, "disk_usage", lambda _: SimpleNamespace(free=1_900_000_000)
-    )
-    assert "only 1.9 GB are free" in pipeline._little_space(tmp_path)[0]
-    monkeypatch.setattr(
-        pipeline.shutil, "disk_usage", lambda _: SimpleNamespace(free=2_100_000_000)
-    )
-    assert pipeline._little_space(tmp_path) == []
+@pytest.mark.parametrize(("free", "warnings"), [(1_900_000_000, 1), (2_100_000_000, 0)])
+def test_little_free_space_is_a_warning(
+    free: int, warnings: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline.shutil, "disk_usage", lambda _: SimpleNamespace(free=free))
+    assert len(pipeline._little_space(tmp_path)) == warnings
 
 
 @pytest.mark.parametrize(
@@ -396,64 +360,47 @@ def test_evaluation_writes_nothing_to_a_run_that_took_the_place_of_its_own(
 
 
 def test_two_runs_never_write_into_one_folder(
-    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+    bags: dict[str, Path], finished: Path, tmp_path: Path
 ) -> None:
     copy = shutil.copytree(finished, tmp_path / "run")
     with run_folder.held(copy):
-        done = ffmap(environment, "run", bags["bag"], "--out", copy, "--overwrite")
+        done = ffmap(dict(os.environ), "run", bags["bag"], "--out", copy, "--overwrite")
         assert_one_line_error(done, str(copy), "another run")
-        done = ffmap_here(environment, "run", "--resume", copy)
+        done = here("run", "--resume", copy)
         assert_one_line_error(done, str(copy), "another run")
     assert (copy / "recording.rrd").exists()
 
 
 def test_run_is_replaced_where_the_user_says_so(
-    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+    bags: dict[str, Path], finished: Path, tmp_path: Path
 ) -> None:
     copy = shutil.copytree(finished, tmp_path / "run")
     (copy / "notes.txt").write_text("mine")
     options = ("--overwrite", "--outputs", "maps", "--no-evaluate", "--workers", "1")
     # Not by one that reads it.
     own = ("--trajectory", copy / "trajectory.tum")
-    done = ffmap_here(environment, "run", bags["bag"], "--out", copy, *options, *own)
+    done = here("run", bags["bag"], "--out", copy, *options, *own)
     assert_one_line_error(done, "trajectory.tum")
     assert (copy / "recording.rrd").exists()
-    done = ffmap_here(environment, "run", bags["bag"], "--out", copy, *options)
+    done = here("run", bags["bag"], "--out", copy, *options)
     assert done.returncode == 0, done.stderr
-    maps = [
-        f"{name}.{suffix}"
-        for name in ("map", *(f"map_{rival}" for rival in Rival))
-        for suffix in ("yaml", "pgm")
-    ]
-    assert {path.name for path in copy.iterdir()} == {
-        "notes.txt",
-        "run.json",
-        "trajectory.tum",
-        *maps,
-    }
-    record = read(copy, "run.json")
-    assert set(record["files"]) == {"run.json", "trajectory.tum", *maps}
+    maps = [f"{name}.{end}" for name in MAP_NAMES for end in ("yaml", "pgm")]
+    assert set(read(copy, "run.json")["files"]) == {"run.json", "trajectory.tum", *maps}
+    written = {path.name for path in copy.iterdir()}
+    assert written == {"notes.txt", "run.json", "trajectory.tum", *maps}
 
 
 @pytest.mark.parametrize("stage", ["odometry", "final"])
 def test_interruption_is_one_line_that_says_how_to_go_on(
-    stage: str, bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+    stage: str, bags: dict[str, Path], finished: Path, tmp_path: Path
 ) -> None:
     # The stage before it has ended, or the run's folder is there.
     out, before = tmp_path / "run", {"odometry": "", "final": "building:"}[stage]
     cold = {"FFMAP_CACHE": str(tmp_path)} if stage == "odometry" else {}
+    words = ("run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate")
     process = subprocess.Popen(
-        [
-            *FFMAP_IN_FRONT,
-            "run",
-            str(bags["bag"]),
-            "--out",
-            str(out),
-            "--workers",
-            "2",
-            "--no-evaluate",
-        ],
-        env={**environment, **cold},
+        [*FFMAP_IN_FRONT, *words],
+        env={**os.environ, **cold},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -473,19 +420,14 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
     said += process.communicate(timeout=60)[1].splitlines(keepends=True)
     assert process.returncode == 130
     assert said[-1] == f"ffmap: interrupted; 'ffmap run --resume {out}' continues the run\n"
-    assert all(
-        line.split(":")[0].split(" of ")[0] in ("odometry", "scans", "building", "final")
-        for line in said[:-1]
-    ), said
+    assert not [line for line in said if "Traceback" in line]
     assert read(out, "run.json")["outcome"] == "aborted"
 
 
-def test_a_viewer_receives_the_whole_run(
-    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_a_viewer_receives_the_whole_run(bags: dict[str, Path], tmp_path: Path) -> None:
     with receiving(tmp_path / "seen.rrd") as viewer:
         words = ("--outputs", "recording,maps", "--no-evaluate", "--connect", viewer.url)
-        done = ffmap_here(environment, "run", bags["bag"], "--out", tmp_path / "a", *words)
+        done = here("run", bags["bag"], "--out", tmp_path / "a", *words)
         assert done.returncode == 0, done.stderr
         assert viewer.holds(tmp_path / "a" / "recording.rrd")
         assert "Odometry's map; the labelled map follows" not in shown(viewer.path)
@@ -493,20 +435,17 @@ def test_a_viewer_receives_the_whole_run(
     assert content(viewer.path)[0][entities.POINTS, entities.SCAN_TIMELINE] >= scans > 0
 
 
-def test_viewer_that_ends_is_one_line_and_no_run_goes_on(
-    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
+def test_a_viewer_that_does_not_start_is_one_line(
+    bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    blind = {
-        name: value
-        for name, value in environment.items()
-        if name not in ("DISPLAY", "WAYLAND_DISPLAY")
-    }
-    done = ffmap_here(blind, "run", bags["bag"], "--out", tmp_path / "a", "--spawn")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    done = here("run", bags["bag"], "--out", tmp_path / "a", "--spawn")
     assert_one_line_error(done, "--spawn", "display")
     assert not (tmp_path / "a" / "run.json").exists()
 
 
-def test_mistakes_in_options_are_one_line(environment: dict[str, str]) -> None:
+def test_mistakes_in_options_are_one_line() -> None:
     for words, named in (
         (("run", "a.bag", "--nope"), "--nope"),
         (("rum",), "rum"),
@@ -514,29 +453,27 @@ def test_mistakes_in_options_are_one_line(environment: dict[str, str]) -> None:
         (("run", "a.bag", "--workers", "0"), "--workers"),
         (("run", "a.bag", "--time-from", "sun"), "azimuth"),
     ):
-        assert_one_line_error(ffmap_here(environment, *words), "ffmap: ", named, "--help")
+        assert_one_line_error(here(*words), "ffmap: ", named, "--help")
 
 
-def test_version_and_help(environment: dict[str, str]) -> None:
-    done = ffmap_here(environment, "--version")
+def test_version_and_help() -> None:
+    done = here("--version")
     assert done.returncode == 0
     assert done.stdout.startswith("ffmap 0.")
-    assert "--overwrite" in ffmap_here(environment, "run", "--help").stdout
-    assert "simulate" in ffmap_here(environment).stdout
+    assert "--overwrite" in here("run", "--help").stdout
+    assert "simulate" in here().stdout
 
 
-def test_help_may_be_read_in_part(environment: dict[str, str]) -> None:
+def test_help_may_be_read_in_part() -> None:
     """By grep -q, in a script that ends where a program of a pipe fails."""
-    with subprocess.Popen(
-        [*FFMAP, "run", "--help"], env=environment, stdout=subprocess.PIPE, bufsize=0
-    ) as process:
+    with subprocess.Popen([*FFMAP, "run", "--help"], stdout=subprocess.PIPE, bufsize=0) as process:
         assert process.stdout is not None
         assert process.stdout.read(1)
         process.stdout.close()
         assert process.wait() == 0
 
 
-def test_hints_name_what_helps(environment: dict[str, str], finished: Path, tmp_path: Path) -> None:
+def test_hints_name_what_helps(finished: Path, tmp_path: Path) -> None:
     bag = tmp_path / "a.bag"
     for words, hints in (
         (("settings", "--set", "doors=3"), ("'doors' is a group", "doors.recess_min_m")),
@@ -549,17 +486,17 @@ def test_hints_name_what_helps(environment: dict[str, str], finished: Path, tmp_
         (("rooms", finished / "doors.geojson"), ("doors.geojson: is no map",)),
         (("rooms", finished / "map.yaml", "--resolution", "50"), ("--resolution 50",)),
     ):
-        assert_one_line_error(ffmap_here(environment, *words), *hints)
+        assert_one_line_error(here(*words), *hints)
 
 
 def test_evaluation_of_nothing_is_refused(
-    bags: dict[str, Path], finished: Path, environment: dict[str, str], tmp_path: Path
+    bags: dict[str, Path], finished: Path, tmp_path: Path
 ) -> None:
     aborted = tmp_path / "aborted"
     aborted.mkdir()
     record = read(finished, "run.json")
     (aborted / "run.json").write_text(json.dumps({**record, "outcome": "aborted"}))
-    assert_one_line_error(ffmap_here(environment, "evaluate", aborted), "aborted", "--resume")
+    assert_one_line_error(here("evaluate", aborted), "aborted", "--resume")
     assert not (aborted / "metrics.json").exists()
     copy = shutil.copytree(finished, tmp_path / "run")
     poses = [line.split() for line in (copy / "trajectory.tum").read_text().splitlines()]
@@ -569,63 +506,50 @@ def test_evaluation_of_nothing_is_refused(
         "".join(" ".join([p[0], str(float(p[1]) + 1.0), *p[2:]]) + "\n" for p in poses)
     )
     before = (copy / "metrics.json").read_bytes()
-    assert_one_line_error(
-        ffmap_here(environment, "evaluate", copy, "--truth", later), "later.tum", "same drive"
-    )
+    assert_one_line_error(here("evaluate", copy, "--truth", later), "later.tum", "same drive")
     assert (copy / "metrics.json").read_bytes() == before
-    done = ffmap(environment, "evaluate", copy, "--truth", moved)
+    done = ffmap(dict(os.environ), "evaluate", copy, "--truth", moved)
     assert done.returncode == 0, done.stderr
     assert "not compared: labels, doors, maps and rooms: the truth has poses alone" in done.stdout
     figures = read(copy, "metrics.json")
     assert figures["trajectory.ate_rmse_m"] < 1e-6 < figures["trajectory.unaligned_rmse_m"]
     (copy / "doors.geojson").unlink()
-    done = ffmap_here(environment, "evaluate", copy)
+    done = here("evaluate", copy)
     assert (
         "not compared: doors: the run has no doors.geojson; --outputs with geojson writes it"
         in done.stdout
     )
 
 
-def test_info_and_run_say_the_same_of_mistakes(
-    bags: dict[str, Path], environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_info_and_run_say_the_same_of_mistakes(bags: dict[str, Path], tmp_path: Path) -> None:
     cut, rig = tmp_path / "cut.bag", tmp_path / "rig.toml"
     cut.write_bytes(bags["bag"].read_bytes()[:1000])
     said = f"{cut}: the bag is empty, it has no messages; record it again"
-    assert said in ffmap_here(environment, "info", cut).stdout
-    assert_one_line_error(ffmap_here(environment, "run", cut), said)
-    assert (
-        "(medians of several clouds); the first has 1 x"
-        in ffmap_here(environment, "info", bags["bag"]).stdout
-    )
+    assert said in here("info", cut).stdout
+    assert_one_line_error(here("run", cut), said)
     rig.write_text("[[lidar]]\n")
     for option, value in (("--horizontal", "/nope"), ("--vertical", "/nope"), ("--rig", rig)):
-        info, run = (
-            ffmap_here(environment, command, bags["bag"], option, value)
-            for command in ("info", "run")
-        )
+        info, run = (here(command, bags["bag"], option, value) for command in ("info", "run"))
         assert_one_line_error(info, str(value))
         assert info.stderr == run.stderr
 
 
-def test_settings_round_trip(environment: dict[str, str], tmp_path: Path) -> None:
-    shown = ffmap_here(environment, "settings", "--set", "doors.recess_min_m=0.03")
+def test_settings_round_trip(tmp_path: Path) -> None:
+    shown = here("settings", "--set", "doors.recess_min_m=0.03")
     assert shown.returncode == 0
     file = tmp_path / "mine.toml"
     file.write_text(shown.stdout)
-    assert ffmap_here(environment, "settings", "--config", file).stdout == shown.stdout
+    assert here("settings", "--config", file).stdout == shown.stdout
     assert "recess_min_m = 0.03" in shown.stdout
 
 
-def test_real_lidar_gives_a_trajectory_and_nothing_to_label(
-    environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_real_lidar_gives_a_trajectory_and_nothing_to_label(tmp_path: Path) -> None:
     data = os.environ.get("FFMAP_REAL_DATA")
     if not data:
         pytest.skip("FFMAP_REAL_DATA is not set: no real recordings here")
     bag = Path(data) / "hilti_14.bag"
     shutil.copy(bag, tmp_path / "hilti.bag")
-    done = ffmap_here(environment, "run", tmp_path / "hilti.bag", "--out", tmp_path / "run")
+    done = here("run", tmp_path / "hilti.bag", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     assert "nothing was labelled" in done.stdout
     found = np.loadtxt(tmp_path / "run" / "trajectory.tum")[:, 1:4]
