@@ -484,7 +484,8 @@ def sweep(
 ) -> None:
     """Run with many combinations of settings and rank them in sweep.csv.
 
-    All runs share one odometry. The same command continues a sweep that was stopped.
+    All runs share one odometry; --workers run at once, each in one process. The same command
+    continues a sweep that was stopped.
 
     Examples:
 

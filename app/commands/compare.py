@@ -36,11 +36,6 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.trajectory_file import read_tum
 
 RECORDING = "comparison.rrd"
-_UNFINISHED = {
-    "running": "is still running",
-    "killed": "was killed, 'ffmap run --resume {}' continues it",
-    "aborted": "was aborted, 'ffmap run --resume {}' continues it",
-}
 
 
 def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, quiet: bool) -> None:
@@ -52,20 +47,19 @@ def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, q
 
     Raises InputError if there are too few or too many runs, or `out` cannot be written.
     """
-    if not 2 <= len(paths) <= len(string.ascii_uppercase):
-        raise InputError(f"give two run folders or more, at most {len(string.ascii_uppercase)}")
+    letters = string.ascii_uppercase
+    if not 2 <= len(paths) <= len(letters):
+        raise InputError(f"give two run folders or more, at most {len(letters)}")
     found = [open_run(path) for path in paths]
     recording = _output(found, out)
+    warnings: list[str] = []
     with (
         ExitStack() as stack,
         Progress(quiet) as progress,
         tempfile.TemporaryDirectory(prefix="comparison-", dir=recording.parent) as spool,
     ):
-        warnings: list[str] = []
-        letters = string.ascii_uppercase
         runs = [
-            _open(letter, run, stack, warnings)
-            for letter, run in zip(letters, found, strict=False)
+            _open(letter, run, stack, warnings) for letter, run in zip(letters, found, strict=False)
         ]
         for warning in warnings:
             progress.warn(warning)
@@ -94,13 +88,12 @@ def _output(runs: Sequence[FinishedRun], out: Path | None) -> Path:
     return recording
 
 
-def _open(
-    letter: str, run: FinishedRun, stack: ExitStack, warnings: list[str]
-) -> RunToCompare:
+def _open(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[str]) -> RunToCompare:
     """Open a run with its recording, if it has one that can be read."""
     if not run.complete:
-        unfinished = _UNFINISHED.get(run.outcome, "has an unknown outcome").format(run.path)
-        warnings.append(f"{letter}, {run.name}: {unfinished}; what it has is compared")
+        resume = f" ('ffmap run --resume {run.path}' continues it)"
+        hint = "" if run.outcome == "running" else resume
+        warnings.append(f"{letter}, {run.name}: is {run.outcome}{hint}; what it has is compared")
     recording = None
     if run.recording is None:
         warnings.append(f"{letter}, {run.name}: has no recording to show side by side")

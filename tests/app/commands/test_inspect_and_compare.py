@@ -185,10 +185,10 @@ def test_a_run_that_was_killed_is_told_from_one_that_is_running(
         assert open_run(killed).outcome == "running"
         found = compare(tmp_path / "out", runs["usual"], killed)
         assert is_held(killed)
-    assert "B, killed: is still running; what it has is compared" in found["warnings"]
+    assert "B, killed: is running; what it has is compared" in found["warnings"]
     found = compare(tmp_path / "out", runs["usual"], killed)
-    resume = f"'ffmap run --resume {killed}' continues it"
-    assert f"B, killed: was killed, {resume}; what it has is compared" in found["warnings"]
+    resume = f"('ffmap run --resume {killed}' continues it)"
+    assert f"B, killed: is killed {resume}; what it has is compared" in found["warnings"]
     assert [run["outcome"] for run in found["runs"]] == ["complete", "killed"]
     assert not is_held(killed)
 
