@@ -21,7 +21,10 @@ $(READY): requirements.txt pyproject.toml
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --requirement requirements.txt
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps ouster-sdk==1.0.1 # asks for older rosbags than ours, and reads packets without
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
-	$(VENV)/bin/python -m ffmap.app.warm
+	@echo 'compiling what runs need, by a short run that is thrown away'
+	@warm=$$(mktemp -d) && export FFMAP_CACHE=$$warm && \
+		$(VENV)/bin/ffmap simulate $$warm/drive.bag --seed 1 --duration 4 --quiet && \
+		$(VENV)/bin/ffmap run $$warm/drive.bag --out $$warm/run --quiet && rm -r $$warm
 	@touch $(READY)
 
 demo: install
