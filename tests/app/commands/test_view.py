@@ -29,27 +29,24 @@ def make_run(folder: Path, *files: str, recording_id: str = "") -> Path:
     return folder
 
 
-def test_errors_come_after_the_recording_whose_layout_would_hide_them(tmp_path: Path) -> None:
+def test_files_of_a_run_and_a_single_recording(tmp_path: Path) -> None:
+    """The errors are last: the viewer uses the layout of the last file."""
     run = make_run(tmp_path / "a", "recording.rrd", "evaluation.rrd")
     assert files_of(run) == [run / "recording.rrd", run / "evaluation.rrd"]
-    assert files_of(make_run(tmp_path / "b", "recording.rrd")) == [tmp_path / "b" / "recording.rrd"]
-
-
-def test_a_single_recording(tmp_path: Path) -> None:
-    (tmp_path / "inspect-7.rrd").touch()
-    assert files_of(tmp_path / "inspect-7.rrd") == [tmp_path / "inspect-7.rrd"]
+    assert files_of(run / "recording.rrd") == [run / "recording.rrd"]
 
 
 def test_nothing_to_see(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such folder"):
-        files_of(tmp_path / "nothing")
-    with pytest.raises(InputError, match="is no run"):
-        files_of(tmp_path)
-    with pytest.raises(InputError, match=r"no recording\.rrd"):
-        files_of(make_run(tmp_path / "a", "evaluation.rrd"))
     (tmp_path / "notes.txt").touch()
-    with pytest.raises(InputError, match="no recording"):
-        files_of(tmp_path / "notes.txt")
+    make_run(tmp_path / "a", "evaluation.rrd")
+    for name, words in (
+        ("nothing", "no such folder"),
+        (".", "is no run"),
+        ("a", r"no recording\.rrd"),
+        ("notes.txt", "is no recording"),
+    ):
+        with pytest.raises(InputError, match=words):
+            files_of(tmp_path / name)
 
 
 def test_several_runs_have_one_layout_that_comes_last(
