@@ -287,13 +287,14 @@ class _Performer:
                 for run, error in zip(batch, pool.map(perform, batch), strict=True):
                     run.error = error
                     self._end(run)
-        means: list[float | None] = []
-        for own in wanted:
-            found = [self.runs[run.out].figures for run in own]
-            known = all(self.objective in figures for figures in found)
-            mean = statistics.fmean(figures[self.objective] for figures in found) if known else None
-            means.append(mean)
-        return means
+        return [self._mean_objective(own) for own in wanted]
+
+    def _mean_objective(self, wanted: Sequence[SweepRun]) -> float | None:
+        """Return the mean over the bags; None if a run has failed or has no such figure."""
+        figures = [self.runs[run.out].figures for run in wanted]
+        if not all(self.objective in own for own in figures):
+            return None
+        return statistics.fmean(own[self.objective] for own in figures)
 
     def _make(self, bag: BagPath, combination: Combination) -> SweepRun:
         """Make the run of a bag; a hash of all that it depends on names its folder."""
