@@ -4,15 +4,15 @@ A drive may consist of several files, split by size or time: together they are o
 process opens the bag for itself. All readers seek to a log time.
 """
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from heapq import merge
-from itertools import combinations, repeat
+from itertools import combinations
 from operator import itemgetter
 from pathlib import Path
-from types import MappingProxyType, TracebackType
-from typing import Any, Literal, Self, TypeAlias, TypeVar, cast
+from typing import Any, Literal, Self, TypeAlias, TypeVar
 
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Ros1Reader
@@ -41,6 +41,7 @@ _MAGIC: Mapping[bytes, Container] = {
     b"\x89MCAP0\r\n": "mcap",
     b"SQLite format 3\0": "sqlite3",
 }
+_COMPRESSED = re.compile(r"""compression_mode: *["']?(file|message)""", re.IGNORECASE)
 _ADVICE = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
 
 _GAP_NS = 1_000_000_000
@@ -92,14 +93,6 @@ class BagFile:
         return [connection for connection in self.reader.connections if connection.topic in topics]
 
 
-class FolderReader(DirectoryReader):
-    """A folder with metadata.yaml."""
-
-    STORAGE_PLUGINS = MappingProxyType(
-        {"mcap": McapReader, "sqlite3": sqlite_reader}  # type: ignore[dict-item] # A function
-    )
-
-
 class Bag:
     """An open bag; see `open_bag`.
 
@@ -125,12 +118,7 @@ class Bag:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        tb: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     @property
@@ -295,41 +283,34 @@ def _open_folder(folder: Path, warnings: list[str]) -> list[BagFile]:
     for entry in entries:
         if entry.exists():
             require_regular(entry, _ADVICE)  # Opening a pipe would block
+    metadata = folder / "metadata.yaml"
+    if metadata.exists() and _COMPRESSED.search(metadata.read_text(errors="replace")):
+        return [_open_compressed(folder)]
     paths = [entry for entry in entries if _kind(entry) in (".mcap", ".db3")]
     paths = paths or [entry for entry in entries if _kind(entry) == ".bag"]
-    reader, problem = None, "no metadata.yaml"
-    if (folder / "metadata.yaml").exists():
-        try:
-            reader = FolderReader(folder)
-            reader.open()
-        except Exception as error:  # Of any kind: the metadata may contain anything
-            reader, problem = None, f"metadata.yaml does not fit ({_reason(error)})"
-    if reader is None and not paths:
-        raise InputError(f"{folder}: the folder contains no bag ({problem}); {_ADVICE}")
-    if reader is None:
-        _warn_of_unread(entries, paths, warnings)
-        what = "no ROS 2 bag" if _kind(paths[0]) == ".bag" else problem
-        warnings.append(f"{folder.name}: {what}; its {len(paths)} data file(s) are read as one bag")
-        return [_open_file(path, warnings) for path in paths]
-    storages = cast("list[McapReader | Sqlite3Reader]", reader.storages)
-    listed = [Path(str(storage.path)) for storage in storages]
-    _warn_of_unread(entries, listed, warnings)
-    is_mcap = any(isinstance(storage, McapReader) for storage in storages)
-    container: Container = "mcap" if is_mcap else "sqlite3"
-    if reader.metadata.compression_mode or not listed:  # Only rosbags' own reader decompresses
-        return [_opened(folder, container, reader)]
-    return [_opened(*each) for each in zip(listed, repeat(container), storages, strict=False)]
-
-
-def _warn_of_unread(entries: Sequence[Path], read: Sequence[Path], warnings: list[str]) -> None:
-    """Warn of files that look like parts of a bag and are not read."""
-    names = {path.name for path in read}
+    if not paths:
+        raise InputError(f"{folder}: the folder contains no bag; {_ADVICE}")
+    names = {path.name for path in paths}
     parts = [path.name for path in entries if {".bag", ".mcap", ".db3"} & {*path.suffixes}]
-    if others := [name for name in parts if not {name, name.removesuffix(".zstd")} & names]:
+    if others := [name for name in parts if name not in names]:
         warnings.append(
-            f"{entries[0].parent.name}: left out: {', '.join(others)}; if they belong to the "
-            "drive, give all of its files by name (compressed ones: after zstd -d)"
+            f"{folder.name}: left out: {', '.join(others)}; if they belong to the drive, give all "
+            "of its files by name (compressed ones: after zstd -d)"
         )
+    return [_open_file(path, warnings) for path in paths]
+
+
+def _open_compressed(folder: Path) -> BagFile:
+    """Open a folder whose files or messages are compressed, which only rosbags' reader reads."""
+    try:
+        reader = DirectoryReader(folder)
+        reader.open()
+    except Exception as error:  # Of any kind: the metadata may contain anything
+        raise InputError(
+            f"{folder}: the compressed bag cannot be read ({_reason(error)}); {_ADVICE}"
+        ) from error
+    is_sqlite = any(isinstance(storage, Sqlite3Reader) for storage in reader.storages)
+    return _opened(folder, "sqlite3" if is_sqlite else "mcap", reader)
 
 
 def _open_file(path: Path, warnings: list[str]) -> BagFile:

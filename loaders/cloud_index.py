@@ -22,7 +22,7 @@ from ffmap.loaders.sensors import cloud_hint, sensor_of
 
 _HEADER_BYTES = 16 + 64  # Up to the frame's name
 _FRAME_SHARE_MIN = 0.05  # Of a topic's clouds; a few odd ones are no second lidar
-_VIEWS = 60  # Number of clouds that show whether they are parts of a revolution
+_VIEWS = 30  # Number of clouds that show whether they are parts of a revolution
 _VIEWS_OF_MANY, _PARTS_FEW = 1000, 5
 _VIEW_POINTS = 2000
 _STEPS_ALIKE = 0.8  # Minimum mean resultant length of azimuth steps; without order it is near 0

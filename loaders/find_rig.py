@@ -94,16 +94,16 @@ def find_rig(
 
 def _cloud_topics(bag: Bag, names: Sequence[str], role: Role) -> list[str]:
     """Look topics up, each once, with or without leading slash. Raises InputError without one."""
-    topics, found = cloud_topics(bag), []
+    known = {topic.removeprefix("/"): topic for topic in cloud_topics(bag)}
+    found = dict[str, None]()
     for name in names:
-        spellings = (name, f"/{name}", name.removeprefix("/"))
-        topic = next((spelling for spelling in spellings if spelling in topics), None)
+        topic = known.get(name.removeprefix("/"))
         if topic is None:
             raise InputError(
                 f"{bag.path.name}: --{role} {name} is no topic with clouds; {cloud_hint(bag)}"
             )
-        found.append(topic)
-    return list(dict.fromkeys(found))
+        found[topic] = None
+    return list(found)
 
 
 def _no_clouds(bag: Bag) -> InputError:

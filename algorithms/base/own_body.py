@@ -49,8 +49,7 @@ class OwnBody:
 
     def holds(self, points_sensor: FloatArray) -> BoolArray:
         """(n,) which points (n, 3) are in these voxels."""
-        x, y, z = np.abs(points_sensor.T)
-        inside = np.flatnonzero((x < _HALF_M) & (y < _HALF_M) & (z < _HALF_M))
+        inside = np.flatnonzero(_in_cube(points_sensor))
         held = np.zeros(len(points_sensor), bool)
         held[inside] = self._grid[tuple(_voxels(points_sensor[inside]).T)]
         return held
@@ -70,7 +69,7 @@ def find_own_body(clouds: Sequence[FloatArray], T_base_sensor: FloatArray) -> Ow
     """
     alone, share = np.zeros((2, *(_CELLS,) * 3), np.float32)
     for cloud in clouds:
-        occupied = _grid(_voxels(cloud[(np.abs(cloud) < _HALF_M).all(axis=1)]))
+        occupied = _grid(_voxels(cloud[_in_cube(cloud)]))
         alone += occupied / np.float32(len(clouds))
         # A return at a voxel's border falls on either side of it.
         share += ndimage.maximum_filter(occupied, 3) / np.float32(len(clouds))
@@ -110,6 +109,12 @@ def moves(clouds: Sequence[FloatArray]) -> bool:
     every = np.concatenate(keys)
     always = times[np.searchsorted(voxels, every)] >= _ALWAYS * len(clouds)
     return len(every) > 0 and float(always.mean()) < _STILL
+
+
+def _in_cube(points_sensor: FloatArray) -> BoolArray:
+    """(n,) which points (n, 3) are in the cube that is searched."""
+    x, y, z = np.abs(points_sensor.T)
+    return np.asarray((x < _HALF_M) & (y < _HALF_M) & (z < _HALF_M))
 
 
 def _grid(voxel: IntArray) -> BoolArray:
