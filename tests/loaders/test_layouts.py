@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from ffmap.algorithms.base.scan import Scan
 from ffmap.app.commands.simulate import simulate as simulate_command
 from ffmap.loaders.bag import open_bag
-from ffmap.loaders.cloud_index import index_clouds
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.rig_file import built_in_path, built_in_rigs, rig_path
@@ -54,21 +54,47 @@ def test_every_layout_has_its_rig_with_its_source() -> None:
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_a_rig_is_chosen_for_its_own_layout(name: str, bags: dict[str, Path]) -> None:
+def test_each_layout_has_its_topics_fields_rig_and_truth(name: str, bags: dict[str, Path]) -> None:
+    entries = RIGS[name].lidars
     with open_bag(bags[name]) as bag:
-        rig = find_rig(bag)
-    assert rig.mounts_from == f"the built-in rig {name}"
-    assert any(RIGS[name].description in warning for warning in rig.warnings)
-    assert rig.base_frame == RIGS[name].base
-    found = {own.topic: own for own in (rig.horizontal, *rig.verticals) if own is not None}
-    assert found.keys() == {lidar.topic for lidar in RIGS[name].lidars}
-    for entry in RIGS[name].lidars:
-        assert found[entry.topic or ""].frame_id == entry.frame
-        np.testing.assert_array_equal(found[entry.topic or ""].T_base_sensor, entry.T_base_sensor)
-    assert (rig.vertical is None) == (name == "hilti_2022")
-    if name == "mars":  # Roles follow the extrinsics, not the names
-        assert rig.horizontal is not None
-        assert rig.horizontal.frame_id == "vertical_velodyne"
+        truth_topics = {"/truth/pose", "/truth/classes", "/truth/building"}
+        lidars = {entry.topic for entry in entries}
+        assert bag.topics.keys() - truth_topics == lidars | set(RIGS[name].with_topics)
+        rig, truth = find_rig(bag), read_truth(bag)
+        assert rig.mounts_from == f"the built-in rig {name}"
+        assert any(RIGS[name].description in warning for warning in rig.warnings)
+        assert rig.base_frame == RIGS[name].base
+        found = {own.topic: own for own in (rig.horizontal, *rig.verticals) if own is not None}
+        assert found.keys() == {entry.topic for entry in entries}
+        for entry in entries:
+            own, topic = found[entry.topic or ""], entry.topic or ""
+            assert own.frame_id == entry.frame
+            np.testing.assert_array_equal(own.T_base_sensor, entry.T_base_sensor)
+            cloud = bag.deserialize(next(bag.messages([topic])))
+            fields = " ".join(f"{f.name}{f.offset}:{f.datatype}" for f in cloud.fields)
+            assert (fields, cloud.point_step) == FIELDS[name]
+        assert (rig.vertical is None) == (name == "hilti_2022")
+        assert truth is not None
+        assert truth.trajectory is not None
+        height_m = truth.trajectory.T_map_base[0, 2, 3]
+        assert height_m == pytest.approx(LAYOUTS[name].base_height_m, abs=0.01)
+        lidar = rig.vertical or rig.horizontal
+        assert lidar is not None
+        assert lidar.decoding.timed
+        assert lidar.ring_count == RINGS[name]
+        index = lidar.index(bag)
+        for _, scan in read_scans(bag, index, 0, len(index) - 1, lidar.decoding):
+            assert isinstance(scan, Scan)
+            classes = truth.classes[0].at(scan.stamp_ns, scan.cloud_size)
+            assert classes is not None
+            assert len(classes) == scan.cloud_size
+            assert classes[scan.cloud_index].max() <= 10
+        if name == "backpack_3d":
+            assert np.median(index.message_count) == 75
+            assert index.period_ns == pytest.approx(0.05e9, rel=0.01)
+        if name == "mars":  # Roles follow the extrinsics, not the names
+            assert rig.horizontal is not None
+            assert rig.horizontal.frame_id == "vertical_velodyne"
 
 
 def test_no_rig_is_chosen_for_a_plain_bag(tmp_path: Path) -> None:
@@ -112,41 +138,6 @@ def test_names_that_many_bags_have_are_not_enough(bags: dict[str, Path], tmp_pat
         with pytest.raises(InputError, match="--rig mars"):
             find_rig(bag)
         assert find_rig(bag, rig_path(Path("mars"))).vertical is not None
-
-
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_topics_points_and_truth_are_as_in_the_layout(name: str, bags: dict[str, Path]) -> None:
-    lidars = {lidar.topic or "" for lidar in RIGS[name].lidars}
-    with AnyReader([bags[name]]) as reader:
-        topics = {c.topic: c for c in reader.connections}
-        truth = {"/truth/pose", "/truth/classes", "/truth/building"}
-        assert topics.keys() - truth == lidars | set(RIGS[name].with_topics)
-        for topic in lidars:
-            _, _, raw = next(reader.messages([topics[topic]]))
-            cloud = reader.deserialize(raw, topics[topic].msgtype)
-            fields = " ".join(f"{f.name}{f.offset}:{f.datatype}" for f in cloud.fields)
-            assert (fields, cloud.point_step) == FIELDS[name]
-    with open_bag(bags[name]) as bag:
-        rig, found = find_rig(bag), read_truth(bag)
-        assert found is not None
-        assert found.trajectory is not None
-        height_m = found.trajectory.T_map_base[0, 2, 3]
-        assert height_m == pytest.approx(LAYOUTS[name].base_height_m, abs=0.01)
-        lidar = rig.vertical or rig.horizontal
-        assert lidar is not None
-        assert lidar.decoding.timed
-        assert lidar.ring_count == RINGS[name]
-        index = index_clouds(bag, lidar.topic)
-        scans = [scan for _, scan in read_scans(bag, index, 0, None, lidar.decoding)]
-        for scan in scans[:-1]:
-            classes = found.classes[0].at(scan.stamp_ns, scan.cloud_size)  # type: ignore[union-attr]
-            assert classes is not None
-            assert len(classes) == scan.cloud_size  # type: ignore[union-attr]
-            assert classes[scan.cloud_index].max() <= 10  # type: ignore[union-attr]
-        if name == "backpack_3d":
-            assert bag.topics[lidar.topic].count == pytest.approx(0.75 * 1500, rel=0.1)
-            assert np.median(index.message_count) == 75
-            assert index.period_ns == pytest.approx(0.05e9, rel=0.01)
 
 
 def test_unknown_names_are_refused(tmp_path: Path) -> None:

@@ -167,12 +167,6 @@ def test_an_inconsistent_cloud(changes, words):
         decode(broken(**changes), good)
 
 
-def test_zero_row_step_and_zero_count_are_ignored():
-    message = cloud(sweep().reshape(16, -1))
-    fields = [replace(field, count=0) for field in message.fields]
-    assert len(read(replace(message, row_step=0, fields=fields))) == 1440
-
-
 @pytest.mark.parametrize(
     ("padding", "height", "big"), [(0, 1, False), (0, 16, True), (6, 16, False)]
 )
@@ -329,10 +323,7 @@ def test_of_two_returns_of_a_firing_the_farther_is_read(order):
     np.testing.assert_array_equal(xyz(points)[scan.cloud_index], scan.points_sensor)
     for name in ("points_sensor", "ring", "time_ns"):
         np.testing.assert_array_equal(getattr(scan, name), getattr(expected, name))
-
-
-def test_a_few_second_returns_are_chance():
-    points = np.repeat(sweep(columns=12), 2)
-    points["x"][:19] *= np.float32(1.5)
-    assert not settle_decoding([cloud(points)], "/points").dual
-    assert len(read(cloud(points))) == len(points)
+    # A few second returns are chance.
+    few = np.repeat(first, 2)
+    few["x"][:19] *= np.float32(1.5)
+    assert len(read(cloud(few))) == len(few)
