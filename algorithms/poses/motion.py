@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.scan import FloatArray, Scan
 
 _STEP_NS = 100_000_000
 """The usual time between scans; a motion is extrapolated in such steps, along its arc."""
@@ -51,11 +51,33 @@ def extrapolate(T: FloatArray, motion_per_ns: FloatArray, elapsed_ns: int) -> Fl
     return transforms.orthonormal(T @ np.linalg.matrix_power(step, steps))
 
 
-def compensate(points: FloatArray, late_ns: IntArray, motion_per_ns: FloatArray) -> FloatArray:
-    """Points (n, 3) seen at times (n,) after a common time, as seen at the common time.
+def seen_at(
+    stamp_ns: int,
+    scan: Scan,
+    motion_per_ns: FloatArray,
+    range_m: tuple[float, float],
+    points_max: int,
+    T_sensor_own: FloatArray | None = None,
+) -> FloatArray:
+    """A scan's returns (n, 3) float64, thinned, as seen at one time from a moving sensor.
+
+    range_m: minimum and maximum of the returns that are used. points_max: their number, about.
+    T_sensor_own: (4, 4) to the sensor whose motion is given, from the scan's own; None: they are
+    the same.
 
     The rotation within a sweep is small: two terms of its series are exact to a millimetre.
     """
-    turn, way = late_ns[:, None] * motion_per_ns[:3], late_ns[:, None] * motion_per_ns[3:]
-    turned = np.cross(turn, points)
-    return np.asarray(points + turned + 0.5 * np.cross(turn, turned) + way)
+    # Of an even number of emitters that fire in turn, an even stride would leave most out.
+    stride = len(scan) // points_max | 1
+    points: FloatArray = scan.points_sensor[::stride].astype(np.float64)
+    kept_m = np.linalg.norm(points, axis=1)
+    kept = (kept_m > range_m[0]) & (kept_m < range_m[1])
+    points = points[kept]
+    if T_sensor_own is not None:
+        points = transforms.apply(T_sensor_own, points)
+    if scan.time_ns is None:
+        return points
+    late_ns = (scan.start_ns + scan.time_ns[::stride][kept] - stamp_ns)[:, None]
+    turned = np.cross(late_ns * motion_per_ns[:3], points)
+    turned_twice = np.cross(late_ns * motion_per_ns[:3], turned)
+    return np.asarray(points + turned + 0.5 * turned_twice + late_ns * motion_per_ns[3:])

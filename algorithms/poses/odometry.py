@@ -1,8 +1,10 @@
 """Register horizontal scans by KISS-ICP (paper, IV.A, there BLAM); the only import of kiss_icp."""
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +15,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import GAP_PERIODS
-from ffmap.algorithms.poses.motion import may_change
+from ffmap.algorithms.poses.motion import Change, extrapolate, may_change, seen_at
 from ffmap.algorithms.poses.refinement import (
     WEAK_INLIER_SHARE,
     WEAK_SHARE,
@@ -30,8 +32,16 @@ _RETRY_NS = 1_000_000_000
 """Time between two searches for a lost pose: a search takes as long as ten scans."""
 _STEP_MIN_NS = 5_000_000
 """Minimum time between two poses: no lidar spins faster; noise would look like motion."""
-_EVIDENCE_EVERY_SCANS = 10
-"""The local map and the residual are kept for every n-th scan."""
+_SPACING_NS, _SPACING_PERIODS = 220_000_000, 2.2
+"""Maximum time between two poses in steady motion: every second scan of a lidar that turns ten
+times a second. Poses interpolated over 0.2 s are as good as registered ones."""
+_STEADY = Change(degrees=1.0, metres=0.02)
+"""Maximum change of the motion over `_SPACING_NS` for a scan to be left out: an eighth of it is the
+error of a pose interpolated half-way."""
+_RECENT_STEPS = 20
+"""Number of steps whose median is the period."""
+_EVIDENCE_EVERY_SCANS = 5
+"""The local map and the residual are kept for every n-th registered scan."""
 
 
 class OdometrySettings(StepSettings):
@@ -49,9 +59,23 @@ class OdometrySettings(StepSettings):
     points_max: int = Field(
         4_000,
         ge=100,
-        description="Maximum number of returns; denser clouds are thinned evenly: this pose is "
-        "only the refinement's first guess. KISS-ICP.",
+        description="Maximum number of returns, about; denser clouds are thinned evenly: this pose "
+        "is only the refinement's first guess. KISS-ICP.",
     )
+
+
+@dataclass(frozen=True)
+class GivenScan:
+    """A horizontal scan that may be registered.
+
+    index: of its cloud in the bag. stamp_ns: of its cloud.
+    read: decodes it, and with it the last scan of the other lidar, if any, that ended before it;
+        None where it has no returns.
+    """
+
+    index: int
+    stamp_ns: int
+    read: Callable[[], tuple[Scan, Scan | None] | None]
 
 
 @dataclass(frozen=True)
@@ -59,8 +83,7 @@ class Registration:
     """One registered horizontal scan.
 
     index: of the scan's cloud in the bag.
-    stamp_ns: time of the pose: the middle of the sweep, or its end if poses are not refined
-        (KISS-ICP's convention).
+    stamp_ns: time of the pose: the middle of the sweep.
     T_odom_sensor: (4, 4) at that time; odom is the sensor's frame at the first scan.
     keypoints_sensor: (k, 3) float32, the registered returns as seen at that time: of both lidars,
         or KISS-ICP's if poses are not refined.
@@ -95,7 +118,7 @@ class Registration:
 
 
 def register_scans(
-    scans: Iterable[tuple[int, Scan, Scan | None]],
+    scans: Iterable[GivenScan],
     settings: OdometrySettings,
     refinement: RefinementSettings,
     T_sensor_companion: FloatArray | None = None,
@@ -104,68 +127,119 @@ def register_scans(
 ) -> Iterator[Registration]:
     """Register scans one after another to the map that they build.
 
-    Scans after a gap that match nothing in the map have no pose, until one does.
+    While the motion is steady, scans between two poses are left out, and not even read. Scans after
+    a gap that match nothing in the map have no pose, until one does.
 
-    scans: index, scan, and the last scan of the other lidar, if any, that ended before it. A scan
-        that is not later than the last pose is skipped.
+    scans: by increasing time; one that is not later than the last one, or determines no pose, is
+        skipped.
     T_sensor_companion, T_base_sensor: (4, 4) extrinsics, see `Refiner`.
     on_failure: called for a scan whose registration raises an exception, which then has no pose;
         None to raise it.
     """
-    from kiss_icp.kiss_icp import KissICP  # noqa: TID251 - its one place; takes 0.2 s
-
-    odometry = KissICP(_configuration(settings))
-    refiner: Refiner | None = None
-    if refinement.enabled:
-        range_m = (settings.range_min_m, settings.range_max_m)
-        refiner = Refiner(refinement, range_m, T_sensor_companion, T_base_sensor)
-    stamps_ns: list[int] = []
+    registrar = _Registrar(settings, refinement, T_sensor_companion, T_base_sensor)
+    steps_ns: deque[int] = deque(maxlen=_RECENT_STEPS)
     lost_ns: int | None = None
-    registrable = _registrable(scans, settings, at_middle=refinement.enabled)
-    for number, (index, scan, companion) in enumerate(registrable):
-        if lost_ns is not None and scan.reference_ns - lost_ns < _RETRY_NS:
+    for given, following in pairwise(chain(scans, [None])):
+        assert given is not None
+        if following is not None:
+            steps_ns.append(following.stamp_ns - given.stamp_ns)
+            if registrar.may_skip_to(following.stamp_ns, float(np.median(steps_ns))):
+                continue
+        if lost_ns is not None and given.stamp_ns - lost_ns < _RETRY_NS:
             continue
-        threshold_m = float(odometry.adaptive_threshold.get_threshold())
-        keep_evidence = number % _EVIDENCE_EVERY_SCANS == 0
-        local_map = odometry.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
-        started = time.perf_counter()
-        missing = _missing_periods([*stamps_ns, scan.reference_ns])
-        if missing:
-            # Extrapolate the motion. The refinement tries other poses too; KISS-ICP starts anew.
-            way = np.linalg.matrix_power(odometry.last_delta, missing - 1)
-            odometry.last_pose = transforms.orthonormal(odometry.last_pose @ way)
-            if refiner:
-                odometry.local_map.clear()
-        T_prediction = odometry.last_pose @ odometry.last_delta
-        stride = -(-len(scan) // settings.points_max)
+        if (read := given.read()) is None:
+            continue
+        scan, companion = read
+        if not (registrar.is_next(scan) and _determines_pose(scan, settings)):
+            continue
         try:
-            _, keypoints = odometry.register_frame(
-                scan.points_sensor[::stride].astype(np.float64), _sweep_fraction(scan)[::stride]
-            )
-            T_kiss = odometry.last_pose.copy()
-            if refiner:
-                refined = refiner.refine(scan, T_kiss, companion, after_gap=missing > 0)
-            else:
-                refined = _unrefined(scan, T_kiss, keypoints)
+            found = registrar.register(given, scan, companion)
         except Exception as error:
             if on_failure is None or isinstance(error, MemoryError | OSError):
                 raise
-            on_failure(index, scan, error)
+            on_failure(given.index, scan, error)
             continue
+        lost_ns = given.stamp_ns if found is None else None
+        if found is not None:
+            yield found
+
+
+class _Registrar:
+    """KISS-ICP, the refinement of its poses, and the motion so far."""
+
+    def __init__(
+        self,
+        settings: OdometrySettings,
+        refinement: RefinementSettings,
+        T_sensor_companion: FloatArray | None,
+        T_base_sensor: FloatArray | None,
+    ) -> None:
+        from kiss_icp.kiss_icp import KissICP  # noqa: TID251 - its one place; takes 0.2 s
+
+        self._settings = settings
+        self._range_m = settings.range_min_m, settings.range_max_m
+        self._kiss = KissICP(_configuration(settings))
+        self._refiner: Refiner | None = None
+        if refinement.enabled:
+            self._refiner = Refiner(refinement, self._range_m, T_sensor_companion, T_base_sensor)
+        self._last: Refinement | None = None
+        self._steady = False
+        self._count = 0
+        self._last_stamp_ns = 0
+        self._period_ns = np.inf
+
+    def may_skip_to(self, stamp_ns: int, period_ns: float) -> bool:
+        """Whether the motion is steady until a scan that comes soon enough. period_ns: of scans."""
+        self._period_ns = period_ns
+        spacing_ns = min(_SPACING_NS, _SPACING_PERIODS * period_ns)
+        return self._steady and stamp_ns - self._last_stamp_ns <= spacing_ns
+
+    def is_next(self, scan: Scan) -> bool:
+        """Whether a scan is later than the last one; otherwise noise would look like motion."""
+        return self._last is None or scan.reference_ns - self._last.stamp_ns >= _STEP_MIN_NS
+
+    def register(self, given: GivenScan, scan: Scan, companion: Scan | None) -> Registration | None:
+        """Register a scan; None where it matches nothing after a gap."""
+        kiss, last, stamp_ns = self._kiss, self._last, scan.reference_ns
+        threshold_m = float(kiss.adaptive_threshold.get_threshold())
+        keep_evidence = self._count % _EVIDENCE_EVERY_SCANS == 0
+        local_map = kiss.local_map.point_cloud() if keep_evidence else np.zeros((0, 3))
+        started = time.perf_counter()
+        motion_per_ns: FloatArray = np.zeros(6)
+        after_gap = False
+        if last is not None:
+            motion_per_ns = last.motion_per_ns
+            after_gap = self._is_gap(stamp_ns - last.stamp_ns)
+            kiss.last_delta = extrapolate(np.eye(4), motion_per_ns, stamp_ns - last.stamp_ns)
+        if after_gap and self._refiner:
+            # The refinement tries other poses too; KISS-ICP starts anew.
+            kiss.local_map.clear()
+        T_prediction = kiss.last_pose @ kiss.last_delta
+        points = seen_at(stamp_ns, scan, motion_per_ns, self._range_m, self._settings.points_max)
+        # Without times: the points are compensated already.
+        _, keypoints = kiss.register_frame(points, np.zeros(0))
+        T_kiss = kiss.last_pose.copy()
+        if self._refiner:
+            refined = self._refiner.refine(scan, T_kiss, companion, after_gap)
+        else:
+            refined = _unrefined(stamp_ns, T_kiss, keypoints, last)
         if refined is None:
-            lost_ns = scan.reference_ns
-            continue
-        lost_ns = None
-        stamps_ns.append(scan.reference_ns)
+            return None
         milliseconds = 1e3 * (time.perf_counter() - started)
+        change = (refined.motion_per_ns - motion_per_ns) * _SPACING_NS
+        doubtful = self._count < 2 or after_gap or refined.refused
+        # Without the refinement, poses are KISS-ICP's as it gives them.
+        self._steady = not (doubtful or self._refiner is None) and _STEADY.share_of(change) <= 1.0
+        self._last, self._last_stamp_ns = refined, given.stamp_ns
+        self._count += 1
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
         T_prediction_kiss = transforms.invert(T_prediction) @ T_kiss
-        T_refined = refined.at(scan.end_ns)
+        T_refined = refined.T_odom_sensor
         T_refined_kiss = T_refined @ transforms.invert(T_kiss)
-        yield Registration(
-            index=index,
-            stamp_ns=refined.stamp_ns,
-            T_odom_sensor=refined.T_odom_sensor,
+        return Registration(
+            index=given.index,
+            stamp_ns=stamp_ns,
+            T_odom_sensor=T_refined,
             keypoints_sensor=refined.cloud_sensor,
             local_map_odom=transforms.apply(T_refined_kiss, local_map).astype(np.float32),
             threshold_m=threshold_m,
@@ -174,13 +248,18 @@ def register_scans(
             inlier_share=inlier_share,
             refined_m=float(np.linalg.norm(T_refined[:3, 3] - T_kiss[:3, 3])),
             # The map of one scan holds too little of the building to judge the second scan by.
-            refined_inlier_share=float("nan") if number == 1 else refined.inlier_share,
+            refined_inlier_share=float("nan") if self._count == 2 else refined.inlier_share,
             weakest_share=refined.weakest_share,
             refused=refined.refused,
             agreement=refined.agreement,
             rival=refined.rival,
             milliseconds=milliseconds,
         )
+
+    def _is_gap(self, elapsed_ns: int) -> bool:
+        """Whether the sensor may have moved by more than `LOST_DISTANCE_M` unexpectedly."""
+        is_long = elapsed_ns > GAP_PERIODS * self._period_ns
+        return is_long and may_change(elapsed_ns).metres > LOST_DISTANCE_M
 
 
 def weakness(registration: Registration) -> str | None:
@@ -216,7 +295,7 @@ def _configuration(settings: OdometrySettings) -> "KISSConfig":
 
     return KISSConfig(
         data=config.DataConfig(
-            max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=True
+            max_range=settings.range_max_m, min_range=settings.range_min_m, deskew=False
         ),
         mapping=config.MappingConfig(voxel_size=settings.voxel_m, max_points_per_voxel=5),
         registration=config.RegistrationConfig(
@@ -229,19 +308,6 @@ def _configuration(settings: OdometrySettings) -> "KISSConfig":
             min_motion_th=0.05,  # m
         ),
     )
-
-
-def _registrable(
-    scans: Iterable[tuple[int, Scan, Scan | None]], settings: OdometrySettings, at_middle: bool
-) -> Iterator[tuple[int, Scan, Scan | None]]:
-    """The scans that determine a pose, later than the one before; at_middle: of the sweep."""
-    last_ns: int | None = None
-    for index, scan, companion in scans:
-        stamp_ns = scan.reference_ns if at_middle else scan.end_ns
-        in_order = last_ns is None or stamp_ns - last_ns >= _STEP_MIN_NS
-        if in_order and _determines_pose(scan, settings):
-            last_ns = stamp_ns
-            yield index, scan, companion
 
 
 def _determines_pose(scan: Scan, settings: OdometrySettings) -> bool:
@@ -263,36 +329,17 @@ def _determines_pose(scan: Scan, settings: OdometrySettings) -> bool:
     return bool(spread[1] > 0.5)  # voxels, in a second direction
 
 
-def _missing_periods(stamps_ns: list[int]) -> int:
-    """Duration of the last step in median steps; 0 unless it is a gap.
-
-    In a gap, the sensor may move by more than `LOST_DISTANCE_M` unexpectedly.
-    """
-    if len(stamps_ns) < 2:
-        return 0
-    steps = np.diff(np.array(stamps_ns, np.int64))
-    usual = np.median(steps)
-    is_gap = steps[-1] > GAP_PERIODS * usual
-    if is_gap and may_change(int(steps[-1])).metres > LOST_DISTANCE_M:
-        return int(np.round(steps[-1] / usual))
-    return 0
-
-
-def _sweep_fraction(scan: Scan) -> FloatArray:
-    """Time of each return from 0 to 1 over the sweep; empty without times: no compensation.
-
-    KISS-ICP divides by the span of the times, and aborts the process where they are all the same.
-    """
-    if scan.time_ns is None or scan.time_ns.min(initial=0) == scan.time_ns.max(initial=0):
-        return np.zeros(0)
-    return np.asarray(scan.time_ns / max(int(scan.time_ns.max(initial=0)), 1), np.float64)
-
-
-def _unrefined(scan: Scan, T_kiss: FloatArray, keypoints: FloatArray) -> Refinement:
+def _unrefined(
+    stamp_ns: int, T_kiss: FloatArray, keypoints: FloatArray, last: Refinement | None
+) -> Refinement:
+    motion_per_ns = np.zeros(6)
+    if last is not None:
+        way = transforms.to_twist(transforms.invert(last.T_odom_sensor) @ T_kiss)
+        motion_per_ns = way / (stamp_ns - last.stamp_ns)
     return Refinement(
-        stamp_ns=scan.end_ns,
+        stamp_ns=stamp_ns,
         T_odom_sensor=T_kiss,
-        motion_per_ns=np.zeros(6),
+        motion_per_ns=motion_per_ns,
         cloud_sensor=keypoints.astype(np.float32),
         inlier_share=float("nan"),
         weakest_share=float("nan"),

@@ -11,7 +11,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.poses.gaussian_map import Aligned, GaussianCloud, GaussianMap
-from ffmap.algorithms.poses.motion import Change, compensate, extrapolate, may_change
+from ffmap.algorithms.poses.motion import Change, extrapolate, may_change, seen_at
 from ffmap.algorithms.poses.relocalization import ITERATIONS_MAX, LOST_DISTANCE_M, Relocalizer
 
 _BLIND_NS = 2_000_000_000
@@ -49,7 +49,7 @@ class RefinementSettings(StepSettings):
     points_max: int = Field(
         6_000,
         ge=100,
-        description="Maximum number of returns of a scan; denser clouds are thinned evenly.",
+        description="Maximum number of returns of a scan, about; denser ones are thinned evenly.",
     )
     companion_points_max: int = Field(
         5_000,
@@ -89,11 +89,6 @@ class Refinement:
     refused: bool = False
     agreement: float = float("nan")
     rival: float = float("nan")
-
-    def at(self, stamp_ns: int) -> FloatArray:
-        """T_odom_sensor (4, 4) at another time of the sweep."""
-        way = self.motion_per_ns * (stamp_ns - self.stamp_ns)
-        return self.T_odom_sensor @ transforms.from_twist(way)
 
 
 class _Fit(NamedTuple):
@@ -142,21 +137,21 @@ class Refiner:
     def refine(
         self,
         scan: Scan,
-        T_odom_sensor_end: FloatArray,
+        T_odometry: FloatArray,
         companion: Scan | None = None,
         after_gap: bool = False,
     ) -> Refinement | None:
         """Register a scan, and with it the last one of the other lidar that ended before it.
 
-        T_odom_sensor_end: the odometry's pose at the scan's end. after_gap: whether the scan may be
-        anywhere within reach. None, without any effect on later scans, if it is then found nowhere
-        and the gap is too long to extrapolate the motion.
+        T_odometry: the odometry's pose (4, 4) in the middle of the sweep. after_gap: whether the
+        scan may be anywhere within reach. None, without any effect on later scans, if it is then
+        found nowhere and the gap is too long to extrapolate the motion.
         """
         stamp_ns = scan.reference_ns
         if self._last is None:
             motionless = np.zeros(6)
             cloud = self._compensated(scan, companion, stamp_ns, motionless)
-            found = Refinement(stamp_ns, T_odom_sensor_end, motionless, cloud.points)
+            found = Refinement(stamp_ns, T_odometry, motionless, cloud.points)
             self._first = scan, companion
         elif after_gap:
             found, cloud = self._relocalize(scan, companion, self._last)
@@ -167,13 +162,13 @@ class Refiner:
                 self._map = GaussianMap(self._settings.voxel_m, _MEMORY_SCANS)
             self._first = None
         else:
-            found, cloud = self._track(scan, companion, self._last, T_odom_sensor_end)
+            found, cloud = self._track(scan, companion, self._last, T_odometry)
             self._first = None
         if not found.refused:
             self._trusted_ns = stamp_ns
         self._map.insert(cloud, found.T_odom_sensor)
         self._relocalizer.remember(found.T_odom_sensor, found.cloud_sensor)
-        self._last, self._T_odometry_last = found, T_odom_sensor_end
+        self._last, self._T_odometry_last = found, T_odometry
         return found
 
     def _relocalize(
@@ -201,7 +196,7 @@ class Refiner:
         return refinement, found.cloud
 
     def _track(
-        self, scan: Scan, companion: Scan | None, last: Refinement, T_odom_sensor_end: FloatArray
+        self, scan: Scan, companion: Scan | None, last: Refinement, T_odometry: FloatArray
     ) -> tuple[Refinement, GaussianCloud]:
         """Register a scan from where the motion leads, and else from where the odometry's does."""
         stamp_ns = scan.reference_ns
@@ -210,7 +205,7 @@ class Refiner:
         motion_per_ns = last.motion_per_ns
         expected: list[FloatArray] = [
             extrapolate(last.T_odom_sensor, motion_per_ns, elapsed_ns),
-            last.T_odom_sensor @ transforms.invert(self._T_odometry_last) @ T_odom_sensor_end,
+            last.T_odom_sensor @ transforms.invert(self._T_odometry_last) @ T_odometry,
         ]
         guesses = expected
         usual = max(WEAK_INLIER_SHARE, last.inlier_share - _FIT_DROP_MAX)
@@ -283,21 +278,12 @@ class Refiner:
         self, scan: Scan, companion: Scan | None, stamp_ns: int, motion_per_ns: FloatArray
     ) -> GaussianCloud:
         """Both lidars' returns, thinned, as seen at a time, with their covariances."""
-        settings = self._settings
-        lidars: list[tuple[Scan, int, FloatArray]] = [(scan, settings.points_max, np.eye(4))]
-        if companion is not None and self._T_sensor_companion is not None:
-            lidars.append((companion, settings.companion_points_max, self._T_sensor_companion))
-        clouds = []
-        for own, points_max, T_sensor_own in lidars:
-            if not points_max:
-                continue
-            stride = -(-len(own) // points_max) or 1
-            points: FloatArray = own.points_sensor[::stride].astype(np.float64)
-            range_m = np.linalg.norm(points, axis=1)
-            kept = (range_m > self._range_m[0]) & (range_m < self._range_m[1])
-            points = transforms.apply(T_sensor_own, points[kept])
-            if own.time_ns is not None:
-                late_ns = own.start_ns + own.time_ns[::stride][kept] - stamp_ns
-                points = compensate(points, late_ns, motion_per_ns)
-            clouds.append(points)
-        return GaussianCloud(np.concatenate(clouds))
+        settings, range_m = self._settings, self._range_m
+        points = seen_at(stamp_ns, scan, motion_per_ns, range_m, settings.points_max)
+        others_max, T_sensor_companion = settings.companion_points_max, self._T_sensor_companion
+        if companion is None or T_sensor_companion is None or not others_max:
+            return GaussianCloud(points)
+        others = seen_at(
+            stamp_ns, companion, motion_per_ns, range_m, others_max, T_sensor_companion
+        )
+        return GaussianCloud(np.concatenate([points, others]))

@@ -160,9 +160,7 @@ def correct_extrinsics(run: Run, report: Report) -> Run:
         return run
 
     def drive(sensor: Sensor, seconds: float = _LONG_S) -> Trajectory:
-        return drive_alone(
-            inputs, run.settings, seconds, run.fingerprint, report.progress, sensor
-        )
+        return drive_alone(inputs, run.settings, seconds, run.fingerprint, report.progress, sensor)
 
     odometry = drive(horizontal, _FIRST_S)
     lidars = check_extrinsics(inputs, odometry, run.settings, keep_agreeing=True)

@@ -107,6 +107,7 @@ class _RegistrationLog:
         self._sensor, self._report = sensor, report
         self._waiting: list[Registration] = []
         self._first = True
+        self._done = 0
         report.progress.stage("odometry", len(sensor.index))
 
     def add(self, registration: Registration) -> None:
@@ -116,7 +117,9 @@ class _RegistrationLog:
             log_odometry_frame(self._report.log, stamp_ns, T[None])
         self._first = False
         self._waiting.append(registration)
-        self._report.progress.advance()
+        # Scans between two poses are left out.
+        self._report.progress.advance(registration.index + 1 - self._done)
+        self._done = registration.index + 1
         if len(self._waiting) == _LOGGED_AT_ONCE:
             self.flush()
 

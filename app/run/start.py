@@ -182,9 +182,7 @@ def _with_viewer(options: RunOptions) -> RunOptions:
     except ConnectionError as error:
         raise InputError(f"--connect: {error}; start a viewer first, or omit --connect") from error
     except RuntimeError as error:
-        raise InputError(
-            f"--spawn: {error} Omit it: recording.rrd can be opened later"
-        ) from error
+        raise InputError(f"--spawn: {error} Omit it: recording.rrd can be opened later") from error
 
 
 def _as_started(path: Path, record: dict[str, Any]) -> tuple[BagPath, RunOptions, Settings]:

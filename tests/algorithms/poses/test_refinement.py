@@ -24,8 +24,8 @@ def refined(
     refiner = refiner or Refiner(RefinementSettings(), (0.5, 60.0), T_HORIZONTAL_VERTICAL)
     found = []
     for number, (_, scan, companion) in enumerate(scans):
-        T_end = odometry(number, true_pose(scan.end_ns))
-        refinement = refiner.refine(scan, T_end, companion)
+        T_odometry = odometry(number, true_pose(scan.reference_ns))
+        refinement = refiner.refine(scan, T_odometry, companion)
         assert refinement is not None
         found.append(refinement)
     return found
