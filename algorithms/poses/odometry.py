@@ -139,15 +139,21 @@ def register_scans(
     registrar = _Registrar(settings, refinement, T_sensor_companion, T_base_sensor)
     steps_ns: deque[int] = deque(maxlen=_RECENT_STEPS)
     lost_ns: int | None = None
+    left_out: GivenScan | None = None
     for given, following in pairwise(chain(scans, [None])):
         assert given is not None
         if following is not None:
             steps_ns.append(following.stamp_ns - given.stamp_ns)
             if registrar.may_skip_to(following.stamp_ns, float(np.median(steps_ns))):
+                left_out = given
                 continue
         if lost_ns is not None and given.stamp_ns - lost_ns < _RETRY_NS:
             continue
-        if (read := given.read()) is None:
+        read = given.read()
+        if read is None and left_out is not None:
+            given, read = left_out, left_out.read()
+        left_out = None
+        if read is None:
             continue
         scan, companion = read
         if not (registrar.is_next(scan) and _determines_pose(scan, settings)):

@@ -144,6 +144,17 @@ def test_scans_are_left_out_only_while_the_motion_is_steady() -> None:
     assert off_deg.max() < 0.6
 
 
+def test_a_scan_that_was_left_out_stands_in_for_a_damaged_one(scans: list[Given]) -> None:
+    given = on_demand(scans[:12])
+    damaged = {r.index for r in register_scans(given, OdometrySettings(), RefinementSettings())}
+    damaged &= {4, 6, 8}
+    assert damaged
+    given = [replace(g, read=lambda: None) if g.index in damaged else g for g in given]
+    index = [r.index for r in register_scans(given, OdometrySettings(), RefinementSettings())]
+    assert not damaged & set(index)
+    assert max(np.diff(index)) == 2
+
+
 def test_scans_that_determine_no_pose_are_left_out() -> None:
     """KISS-ICP aborts the process; as it does where all times are the same."""
     given = [synthetic.scan(i, 360) for i in range(7)]
