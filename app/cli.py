@@ -121,13 +121,9 @@ def run(
     ffmap run day.mcap --scheduler tcp://127.0.0.1:8786
     ```
     """
-    from ffmap.app.run.workers import start_server
-
     written = parse_outputs(outputs, RUN_OUTPUTS)
     if not save:
         written = tuple(output for output in written if output is not Output.RECORDING)
-    if workers > 1:
-        start_server()
     from ffmap.app.commands import run as command
     from ffmap.app.setup.settings import load_settings
 
@@ -238,9 +234,6 @@ def calibrate(
     ffmap calibrate drive.bag --from-motion --horizontal /top/points --vertical /side/points
     ```
     """
-    from ffmap.app.run.workers import start_server
-
-    start_server()
     from ffmap.app.commands import calibrate as command
 
     path = BagPath(tuple(bag))
@@ -338,10 +331,6 @@ def evaluate(
     ffmap evaluate runs/a --truth drive.bag
     ```
     """
-    from ffmap.app.run.workers import start_server
-
-    if workers > 1:
-        start_server()
     from ffmap.app.analysis.evaluation import evaluate_run
     from ffmap.app.analysis.metrics_tables import print_metrics
     from ffmap.app.folder.finished_run import open_run

@@ -2,13 +2,11 @@
 
 import shutil
 import sys
-import time
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import typer
@@ -16,20 +14,21 @@ import typer
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.fusion import Building
-from ffmap.algorithms.building.votes import fuse
+from ffmap.algorithms.building.votes import VoxelVotes, fuse
 from ffmap.algorithms.maps.all_maps import Maps, draw_maps
 from ffmap.app.folder.cloud_file import write_ply
 from ffmap.app.folder.names import CLOUD, TRAJECTORY
+from ffmap.app.folder.record import RunRecord
 from ffmap.app.folder.room_files import topology
 from ffmap.app.progress import Progress
 from ffmap.app.record.building import log_cloud
 from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.run.building import fuse_all_scans, log_maps, write_maps
 from ffmap.app.run.extrinsics import check_whole_drive, correct_extrinsics
-from ffmap.app.run.final import FinalLabels, relabel_scans
-from ffmap.app.run.poses import RunPoses, estimate_poses
+from ffmap.app.run.final import relabel_scans
+from ffmap.app.run.poses import estimate_poses
 from ffmap.app.run.report import Report
-from ffmap.app.run.scans import LabelledScans, label_scans
+from ffmap.app.run.scans import label_scans
 from ffmap.app.run.start import Run
 from ffmap.app.run.workers import WorkerLostError, run_executor
 from ffmap.app.setup.outputs import Output
@@ -42,134 +41,85 @@ INTERRUPTED = 130
 """Exit code of a program that Ctrl-C has ended."""
 
 
-def map_building(run: Run, executor: Executor, report: Report) -> dict[str, Any]:
-    """Run all stages. Returns the content of run.json, but for times and warnings."""
+def map_building(run: Run, executor: Executor, report: Report) -> None:
+    """Run all stages."""
     with report.stage("mounts"):
-        run = correct_extrinsics(run, report)
-    report.log_start(run)
+        inputs = correct_extrinsics(run, report)
+        run = replace(run, inputs=inputs)
+    report.log_start(inputs)
     with report.stage("odometry"):
-        poses = estimate_poses(run.inputs, run.given, run.settings, run.fingerprint, report)
+        poses = estimate_poses(inputs, run.given, run.settings, run.fingerprint, report)
         check_whole_drive(run, poses.trajectory, report)
-    run = _keep_start(run)
-    if not run.inputs.verticals:
-        return _save_trajectory(run, poses, report)
+    # A resumed run needs the extrinsics and the fingerprint.
+    report.add(bag=run.record.bag.model_copy(update={"digest": run.fingerprint()}))
+    report.write()
+    if not inputs.verticals:
+        trajectory = poses.trajectory
+        write_tum(run.folder / TRAJECTORY, trajectory)
+        if report.log:
+            log_trajectory(report.log, trajectory.stamp_ns, trajectory.T_map_base, None)
+        return
     with report.stage("scans"):
         labelled = label_scans(run, poses, executor, report)
     with report.stage("building"):
         building, evidence = fuse_all_scans(run, labelled, poses.trajectory, report)
     with report.stage("final"):
-        final = relabel_scans(run, labelled, building, poses.trajectory, executor, report)
+        votes = relabel_scans(run, labelled, building, poses.trajectory, executor, report)
     with report.stage("maps"):
         maps = draw_maps(building, evidence, run.settings.maps)
-    return _save(run, poses, labelled, building, final, maps, report)
+    # Scans of two lidars that fire together have one pose.
+    stamps_ns = np.unique(labelled.stamps_ns)
+    write_tum(run.folder / TRAJECTORY, Trajectory(stamps_ns, poses.trajectory.at(stamps_ns)))
+    _save(run, building, votes, maps, report)
 
 
-def carry_out(run: Run) -> dict[str, Any]:
+def carry_out(run: Run) -> RunRecord:
     """Run all stages, and write the run folder. Returns the content of run.json.
 
     Raises InputError where the bag has no usable cloud; run.json is written all the same.
     """
-    started, cpu = time.perf_counter(), time.process_time()
     options, folder = run.options, run.folder
-    report: Report | None = None
-
-    def result_of(outcome: str) -> dict[str, Any]:
-        seconds = dict(report.seconds) if report else {}
-        seconds["total"] = time.perf_counter() - started
-        if options.workers == 1 and options.scheduler is None:
-            # All of it was the work of this process, whatever else the machine did.
-            seconds["cpu"] = time.process_time() - cpu
-        return {
-            "timings_s": {name: round(value, 3) for name, value in seconds.items()},
-            "warnings": report.warnings if report else [],
-            "tracebacks": report.tracebacks if report else {},
-            "outcome": outcome,
-        }
-
-    resume = f"'ffmap run --resume {folder.path}' continues the run"
+    resume = f"'ffmap run --resume {folder}' continues the run"
     with interruptible(resume), Progress(options.quiet) as progress:
-        for warning in (*run.inputs.warnings, *_little_space(folder.path)):
+        for warning in (*run.inputs.warnings, *_little_space(folder)):
             progress.warn(warning)
-        folder.write_json({**run.record, "outcome": "running"})
+        report = Report(run, progress)
+        report.add(outcome="running")
+        report.write()
+        run.spool.mkdir(exist_ok=True)
         try:
-            report = Report(run, progress)
-            needed = [*run.inputs.bag_path.parts, folder.path]
+            report.open_recording()
+            needed = [*run.inputs.bag_path.parts, folder]
             with run_executor(options.workers, options.scheduler, needed, progress.say) as executor:
-                record = map_building(run, executor, report)
-            record |= result_of("complete")
-            report.finish(record)
+                map_building(run, executor, report)
+            report.finish("complete")
         except BaseException:
-            aborted = {**folder.read_json(), **result_of("aborted")}
-            folder.write_json(aborted)
-            # The user has to see what ended the run.
+            # The user has to see what ended the run, not what follows from it.
             with suppress(Exception):
-                if report is not None:
-                    report.finish(aborted)
+                report.finish("aborted")
             raise
-        record["files"] = folder.written_files()
-        folder.write_json(record)
-        shutil.rmtree(folder.spool, ignore_errors=True)
-    return record
+    shutil.rmtree(run.spool, ignore_errors=True)
+    return report.record
 
 
-def _keep_start(run: Run) -> Run:
-    """Write the extrinsics and the fingerprint of the bag to run.json: a resumed run needs them."""
-    bag = {**run.record["bag"], "digest": run.fingerprint()}
-    run = replace(run, record={**run.record, "bag": bag})
-    run.folder.write_json({**run.record, "outcome": "running"})
-    return run
-
-
-def _save(
-    run: Run,
-    poses: RunPoses,
-    labelled: LabelledScans,
-    building: Building,
-    final: FinalLabels,
-    maps: Maps,
-    report: Report,
-) -> dict[str, Any]:
-    """Write and record trajectory, maps and cloud. Returns the content of run.json."""
-    # Scans of two lidars that fire together have one pose.
-    stamps_ns = np.unique(labelled.stamps_ns)
-    trajectory = Trajectory(stamps_ns, poses.trajectory.at(stamps_ns))
-    write_tum(run.folder.path / TRAJECTORY, trajectory)
+def _save(run: Run, building: Building, votes: VoxelVotes, maps: Maps, report: Report) -> None:
+    """Write and record maps and cloud. votes: final labels by voxel."""
     write_maps(run, building, maps)
     log_maps(maps, report)
-    cloud = fuse(final.votes)
+    cloud = fuse(votes)
     if Output.CLOUD in run.options.outputs:
         colours = np.array([entities.CLASSES[label][1] for label in Label], np.uint8)
-        write_ply(run.folder.path / CLOUD, cloud, colours[cloud.label])
+        write_ply(run.folder / CLOUD, cloud, colours[cloud.label])
     if report.log:
         log_cloud(report.log, cloud.points_map, cloud.label)
-    report.seconds |= labelled.seconds
-    model = building.model
-    counts = {
-        **poses.counts,
-        **labelled.counts,
-        "walls": len(model.walls),
-        "refused_walls": len(model.judged.refused),
-        "doors": len(model.doors),
-        "rooms": len(maps.rooms),
-        "cloud_points": len(cloud),
-    }
-    return {
-        **run.record,
-        "counts": counts,
-        "statistics": labelled.statistics,
-        "odometry_cached": poses.cached,
-        "labels_digest": final.digest,
-        "topology": topology(maps.rooms),
-    }
-
-
-def _save_trajectory(run: Run, poses: RunPoses, report: Report) -> dict[str, Any]:
-    """Write the only result of a drive without a vertical lidar."""
-    trajectory = poses.trajectory
-    write_tum(run.folder.path / TRAJECTORY, trajectory)
-    if report.log:
-        log_trajectory(report.log, trajectory.stamp_ns, trajectory.T_map_base, None)
-    return {**run.record, "counts": poses.counts, "odometry_cached": poses.cached}
+    report.count(
+        walls=len(building.model.walls),
+        refused_walls=len(building.model.judged.refused),
+        doors=len(building.model.doors),
+        rooms=len(maps.rooms),
+        cloud_points=len(cloud),
+    )
+    report.add(topology=topology(maps.rooms))
 
 
 def _little_space(folder: Path) -> list[str]:

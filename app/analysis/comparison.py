@@ -116,7 +116,9 @@ class Change(Changes):
     @property
     def same_bag(self) -> bool:
         """Whether both runs have clouds and a map frame in common."""
-        return self.a.run.labelled_same_clouds(self.b.run)
+        a, b = self.a.run.record, self.b.run.record
+        same_bag = a.bag.digest is not None and a.bag.digest == b.bag.digest
+        return same_bag and not set(a.topics).isdisjoint(b.topics)
 
     @property
     def compared(self) -> list[str]:
@@ -332,12 +334,11 @@ _SUBJECTS: dict[str, tuple[str, Callable[[Change, ChangedPoints], str | None]]] 
 def _settings(run: FinishedRun) -> dict[str, Any]:
     """Settings, and what else a run depends on."""
     return {
-        **dotted_keys(run.part("settings")),
+        **dotted_keys(run.record.settings),
         "bag": str(run.bag_path) if run.bag_path else None,
-        "bag digest": run.part("bag").get("digest"),
-        "poses from": run.record.get("poses_from"),
-        **dotted_keys(run.part("options"), "options."),
-        **dotted_keys(run.part("versions"), "versions."),
+        "bag digest": run.record.bag.digest,
+        "poses from": run.record.poses_from,
+        **dotted_keys(run.record.as_json("options", "versions")),
     }
 
 

@@ -104,7 +104,8 @@ def _count_clouds(
                     f"{scan.cloud_size} points; give the bag that the run was made from as --truth"
                 )
             unlabelled = np.full(scan.cloud_size, NO_RETURN, np.uint8)
-            full = stored.get(number, (unlabelled, unlabelled))
+            row = stored.get(number)
+            full = (row.label, row.label_scan) if row is not None else (unlabelled, unlabelled)
             label, label_scan = (values[scan.cloud_index] for values in full)
             truth = classes[scan.cloud_index]
             # As measured and at the true poses, so that areas do not depend on the run.

@@ -80,9 +80,8 @@ def evaluate_run(run: FinishedRun, truth_bag: BagPath | None = None, workers: in
         _open_truth(path) as truth,
         tempfile.TemporaryDirectory(prefix="evaluation-", dir=run.path) as spool,
     ):
-        recorded = run.recording is not None and "recording_id" in run.record
+        recorded = run.recording is not None and run.record.recording_id != ""
         evaluation = _compare(run, path, truth, workers, Path(spool) if recorded else None)
-        names.check_same_run(names.RunFolder(run.path), run.record)
         write_json(run.path / names.METRICS, evaluation.metrics)
         if evaluation.maps:
             direction_deg = walls_direction_deg(run.path)
@@ -101,12 +100,12 @@ def _compare(
     found = _Evaluation(run, path, truth.trajectory, parse_building(building or {"features": []}))
     found.metrics["truth"] = str(path)
     found.compare_poses()
-    found.metrics |= dotted_keys(run.part("statistics"))
+    found.metrics |= dotted_keys(run.record.statistics)
     if not truth.classes and building is None:
         found.missing.append("labels, doors, maps and rooms: the truth has poses alone")
     elif building is None:
         found.missing.append(f"doors, maps and rooms: the truth has no {BUILDING_TOPIC}")
-    elif run.map_origin_m[:2].any():
+    elif any(run.record.map_origin[:2]):
         building, found.building = None, parse_building({"features": []})
         found.missing.append("doors, maps and rooms: the map's origin is not that of its poses")
     else:
@@ -180,7 +179,7 @@ class _Evaluation:
         if poses is None:
             self.report_missing("trajectory", names.TRAJECTORY, None)
             return
-        T_given_map = transforms.make_transform(translation=self.run.map_origin_m)
+        T_given_map = transforms.make_transform(translation=np.array(self.run.record.map_origin))
         errors = compare_trajectories(read_tum(poses).moved(T_given_map), self.trajectory)
         if not len(errors.error_m):
             raise InputError(
@@ -236,7 +235,7 @@ class _Evaluation:
             trajectory=self.trajectory,
             doors=self.building.doors,
             spool=spool if self.run.has_scans else None,
-            recording_id=str(self.run.record.get("recording_id")),
+            recording_id=self.run.record.recording_id,
         )
         self.lidars, self.tally = lidars, count_run(counting, workers)
         self.voxels = self.tally.voxels()
@@ -286,7 +285,7 @@ class _Evaluation:
         write_layer(
             run.path / names.EVALUATION,
             spool,
-            str(run.record["recording_id"]),
+            run.record.recording_id,
             layout,
             properties=figures.comparable(self.metrics),
             text=in_markdown(format_metrics(self.metrics)),

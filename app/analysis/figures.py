@@ -16,6 +16,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Label, Truth
 from ffmap.app.folder.names import METRICS
+from ffmap.app.folder.record import RunRecord
 from ffmap.loaders.errors import InputError, shortened
 from ffmap.loaders.text_files import dotted_keys, read_object
 
@@ -223,16 +224,16 @@ WITHOUT_TRUTH = tuple(_TIMES)
 """The figures with a better direction that need no ground truth."""
 
 
-def read_figures(folder: Path, record: Mapping[str, Any]) -> dict[str, float]:
+def read_figures(folder: Path, record: RunRecord) -> dict[str, float]:
     """Return all numbers of a run's run.json, which is `record`, and of its metrics.json by name.
 
     Raises InputError if metrics.json is damaged.
     """
     metrics = folder / METRICS
-    times = dict(record.get("timings_s") or {})
+    times = dict(record.timings_s)
     found = {name: times.pop(key) for name, key in _TIMES.items() if key in times}
     found |= {f"seconds.{name}": value for name, value in times.items()}
-    found |= dotted_keys(record.get("counts") or {})
+    found |= dotted_keys(record.counts)
     if metrics.exists():
         found |= read_object(metrics, "'ffmap evaluate' makes it again")
     return {

@@ -73,7 +73,8 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
     if isinstance(scan, SkippedScan):
         raise _skipped(number, scan.reason)
     scan = within_range(scan, settings.scan.range_max_m)
-    given = given_poses(run.options.trajectory, inputs, settings, run.options.trajectory_frame)
+    options = run.record.options
+    given = given_poses(options.trajectory, inputs, settings, options.trajectory_frame)
     poses = estimate_poses(inputs, given, settings, lambda: digest)
     swept_ns = np.array([scan.start_ns, scan.end_ns])
     if not poses.registered.covers(swept_ns, EXTRAPOLATE_NS).all():
@@ -116,7 +117,7 @@ def _find_inputs(run: FinishedRun, bag: BagPath | None) -> tuple[Inputs, str]:
         raise InputError(f"{missing}: no such bag. Pass the bag of the run with --bag")
     inputs = run.find_inputs(path)
     digest = fingerprint(inputs.bag_path)
-    if run.bag_digest not in (None, digest):
+    if run.record.bag.digest not in (None, digest):
         raise InputError(
             f"{path}: is not the bag of {run.path}. Pass the bag of the run with --bag"
         )
@@ -140,7 +141,7 @@ def _recorded_labels(
     recorded = read_labels(path, number, 1).get(number) if path is not None else None
     if recorded is None:
         return None, None
-    final, label_scan = recorded
+    final, label_scan = recorded.label, recorded.label_scan
     own = full_labels(scan.cloud_size, scan.cloud_index, label)
     if len(own) != len(label_scan):
         return None, max(len(own), len(label_scan))
@@ -179,7 +180,7 @@ def agreement(run: FinishedRun, inspected: InspectedScan) -> str:
         return f"Labelled again; {run.name} has no labels of this scan to compare with."
     if not inspected.differing:
         return f"Labelled again: all {total:,} labels equal label_scan in {LABELS}."
-    made, now = run.part("versions").get("git_revision"), git_revision()
+    made, now = run.record.versions.get("git_revision"), git_revision()
     return (
         f"**Labelled again: {inspected.differing:,} of {total:,} labels differ from {LABELS}.** "
         f"The explanation is of this program (revision {now or 'unknown'}), "

@@ -31,13 +31,13 @@ from ffmap.loaders.trajectory_file import read_tum
 class CloudLabels:
     """Labels (m,) of every place in a cloud, 255 without a return.
 
-    scan: number among the labelled clouds. topic: None for an early version's run.
+    scan: number among the labelled clouds.
     label: final. label_scan: by the scan alone.
     points_map: (m, 3) float32 metres, NaN without a return or a pose; None unless requested.
     """
 
     scan: int
-    topic: str | None
+    topic: str
     stamp_ns: int
     label: UInt8Array
     label_scan: UInt8Array
@@ -46,7 +46,7 @@ class CloudLabels:
     @property
     def key(self) -> tuple[int, str]:
         """What identifies the cloud in its bag; increases."""
-        return self.stamp_ns, self.topic or ""
+        return self.stamp_ns, self.topic
 
 
 def labels_file(run: FinishedRun) -> Path | None:
@@ -63,22 +63,19 @@ def read_run_labels(run: FinishedRun, with_points: bool = False) -> Iterator[Clo
     path = labels_file(run)
     if path is None or run.trajectory is None:
         return
-    trajectory = read_tum(run.trajectory)
-    points = _placed_clouds(run, trajectory) if with_points else iter(())
+    points = _placed_clouds(run, read_tum(run.trajectory)) if with_points else iter(())
     following = next(points, None)
-    only = next(iter(run.topics), None)
     try:
-        for row, ((scan, label, label_scan), cloud) in enumerate(stream_labels(path)):
-            while following is not None and following[0] < scan:
+        for row in stream_labels(path):
+            while following is not None and following[0] < row.scan:
                 following = next(points, None)
-            own = following[1] if following is not None and following[0] == scan else None
-            if own is not None and len(own) != len(label):
+            own = following[1] if following is not None and following[0] == row.scan else None
+            if own is not None and len(own) != len(row.label):
                 raise InputError(
                     f"{run.bag_path}: is not the bag that {run.path} was made from; put that one "
                     "there, or move this one away"
                 )
-            topic, stamp_ns = cloud or (only, int(trajectory.stamp_ns[row]))
-            yield CloudLabels(scan, topic, stamp_ns, label, label_scan, own)
+            yield CloudLabels(row.scan, row.topic, row.stamp_ns, row.label, row.label_scan, own)
     except (OSError, KeyError, IndexError, pa.ArrowException) as error:
         raise InputError(
             f"{path}: cannot be read, or is not of this run ({error}); run ffmap again"

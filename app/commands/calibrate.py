@@ -145,8 +145,7 @@ def _rig_text(inputs: Inputs, checked: Sequence[CheckedExtrinsics]) -> str:
 
 def _print(checked: CheckedExtrinsics) -> None:
     found = checked.found
-    if not checked.alone:
-        typer.echo(f"{checked.topic}:")
+    typer.echo(f"{checked.topic}:")
     for parameter, change, sigma in zip(_PARAMETERS, checked.change, found.sigma, strict=True):
         name, unit, known_max, advice = parameter
         change, sigma = _UNITS[unit] * change, _UNITS[unit] * sigma

@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from ffmap.app.folder.finished_run import open_run
-from ffmap.app.folder.names import METRICS, RUN_JSON, RunFolder, point_latest_at
+from ffmap.app.folder.names import METRICS, RUN_JSON
+from ffmap.app.folder.record import RunRecord
+from ffmap.app.folder.run_folder import point_latest_at
 from ffmap.app.own_command import view_command
 from ffmap.app.pipeline import carry_out, interruptible
 from ffmap.app.progress import Progress
@@ -51,12 +53,12 @@ def _perform(prepared: Run, latest: bool) -> None:
     options, inputs = prepared.options, prepared.inputs
     folder, record = prepared.folder, carry_out(prepared)
     if latest:
-        point_latest_at(folder.path.resolve())
+        point_latest_at(folder.resolve())
     quality = "unknown: the evaluation failed, see the error below"
     try:
         metrics = None
         if options.evaluate and inputs.vertical is not None:
-            how_to_go_on = f"'ffmap evaluate {folder.path}' evaluates it"
+            how_to_go_on = f"'ffmap evaluate {folder}' evaluates it"
             with interruptible(f"the run is complete, {how_to_go_on}"):
                 metrics = _evaluate(folder, options)
         quality = _quality(folder, inputs, options, metrics)
@@ -67,20 +69,20 @@ def _perform(prepared: Run, latest: bool) -> None:
             lines = {
                 "made": _made(inputs, record),
                 "quality": quality,
-                "results": str(folder.path),
-                "look": view_command(folder.path) if recorded else "no recording was written",
-                "warnings": _warnings(folder, record["warnings"]),
+                "results": str(folder),
+                "look": view_command(folder) if recorded else "no recording was written",
+                "warnings": _warnings(folder, record.warnings),
             }
             for name, text in lines.items():
                 typer.echo(f"{name + ':':<10} {text}")
 
 
-def _evaluate(folder: RunFolder, options: RunOptions) -> "Metrics | None":
+def _evaluate(folder: Path, options: RunOptions) -> "Metrics | None":
     """Evaluate the run; None if the bag holds no ground truth."""
     from ffmap.app.analysis.evaluation import evaluate_run, has_truth
     from ffmap.app.analysis.metrics_tables import print_metrics
 
-    finished = open_run(folder.path)
+    finished = open_run(folder)
     if not has_truth(finished):
         return None
     with Progress(options.quiet) as progress:
@@ -91,8 +93,8 @@ def _evaluate(folder: RunFolder, options: RunOptions) -> "Metrics | None":
     return metrics
 
 
-def _made(inputs: Inputs, record: dict[str, Any]) -> str:
-    counts, seconds = record["counts"], record["timings_s"]["total"]
+def _made(inputs: Inputs, record: RunRecord) -> str:
+    counts, seconds = record.counts, record.timings_s["total"]
     if inputs.vertical is None:
         return (
             f"{counts.get('registrations', 0)} scans registered in {seconds:.1f} s; nothing was "
@@ -105,12 +107,12 @@ def _made(inputs: Inputs, record: dict[str, Any]) -> str:
 
 
 def _quality(
-    folder: RunFolder, inputs: Inputs, options: RunOptions, metrics: "Metrics | None"
+    folder: Path, inputs: Inputs, options: RunOptions, metrics: "Metrics | None"
 ) -> str:
     if metrics is not None:
         from ffmap.app.analysis.metrics_tables import in_one_line
 
-        summary = f"{in_one_line(metrics)}; all figures in {folder.path / METRICS}"
+        summary = f"{in_one_line(metrics)}; all figures in {folder / METRICS}"
         return summary if options.verbose else f"{summary}, -v prints them"
     if inputs.vertical is None:
         return "unknown: without labels there is nothing to evaluate"
@@ -118,11 +120,11 @@ def _quality(
         return "unknown: not evaluated (--no-evaluate)"
     return (
         "unknown: the bag holds no ground truth; "
-        f"'ffmap evaluate {folder.path} --truth FILE' reads it from another file"
+        f"'ffmap evaluate {folder} --truth FILE' reads it from another file"
     )
 
 
-def _warnings(folder: RunFolder, warnings: Sequence[str]) -> str:
+def _warnings(folder: Path, warnings: Sequence[str]) -> str:
     if len(warnings) < 2:
         return f"1, {warnings[0]}" if warnings else "none"
-    return f"{len(warnings)}, all in {folder.path / RUN_JSON}; the first: {warnings[0]}"
+    return f"{len(warnings)}, all in {folder / RUN_JSON}; the first: {warnings[0]}"

@@ -15,7 +15,8 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from ffmap.app.analysis.figures import FIGURES, HEADLINES, find_name, read_figures
-from ffmap.app.folder.names import RUN_JSON, RunFolder
+from ffmap.app.folder.names import RUN_JSON
+from ffmap.app.folder.record import read_record
 from ffmap.app.tables import format_value, make_table
 from ffmap.loaders.errors import InputError, shortened
 from ffmap.loaders.text_files import dotted_keys
@@ -100,16 +101,16 @@ def _read(folders: Sequence[Path]) -> Iterator[ListedRun]:
     """Read the runs; print a line for each one that cannot be read."""
     for folder in folders:
         try:
-            record = RunFolder(folder).read_json()
+            record = read_record(folder)
             figures = read_figures(folder, record)
         except InputError as error:
             typer.echo(f"not listed: {error}", err=True)
             continue
-        settings = dotted_keys(record.get("settings") or {})
+        settings = dotted_keys(record.settings)
         details = {
-            "bag": Path(str((record.get("bag") or {}).get("path", ""))).name,
-            "git_revision": (record.get("versions") or {}).get("git_revision"),
-            **{name: record.get(name) for name in ("outcome", "started", "settings_hash")},
+            "bag": Path(record.bag.path or "").name,
+            "git_revision": record.versions.get("git_revision"),
+            **record.as_json("outcome", "started", "settings_hash"),
         }
         yield ListedRun(folder, {**figures, **settings, **details}, settings)
 

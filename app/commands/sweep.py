@@ -20,7 +20,8 @@ from ffmap.app.analysis.figures import FIGURES, HEADLINES, WITHOUT_TRUTH, find_n
 from ffmap.app.commands.run import run as run_bag
 from ffmap.app.commands.runs import runs as list_runs
 from ffmap.app.folder.atomic import written_whole
-from ffmap.app.folder.names import METRICS, SWEEP_TABLE, RunFolder, require_writable
+from ffmap.app.folder.names import METRICS, SWEEP_TABLE, require_writable
+from ffmap.app.folder.record import read_record
 from ffmap.app.own_command import own_command, pip_command
 from ffmap.app.progress import Progress
 from ffmap.app.run.workers import make_pool
@@ -302,7 +303,8 @@ class _Performer:
         settings = load_settings(
             None, [f"{name}={json.dumps(own)}" for name, own in values.items() if own is not None]
         )
-        known_by = [self.options.stored(), settings.flat(), self.digests[bag], versions()]
+        options = self.options.with_digests().model_dump(mode="json")
+        known_by = [options, settings.flat(), self.digests[bag], versions()]
         text = json.dumps(known_by, sort_keys=True)
         name = f"{bag.stem}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
         return SweepRun(self.out / name, bag, settings, combination)
@@ -310,7 +312,7 @@ class _Performer:
     def _end(self, run: SweepRun, note: str = "") -> None:
         """Keep and print a run that has ended."""
         if run.error is None:
-            run.figures = read_figures(run.out, RunFolder(run.out).read_json())
+            run.figures = read_figures(run.out, read_record(run.out))
         self.runs[run.out] = run
         values = ", ".join(f"{name} {value}" for name, value in run.combination.items())
         result = f"{self.objective} {format_value(run.figures.get(self.objective))}"
@@ -334,7 +336,7 @@ def _perform(options: RunOptions, run: SweepRun) -> str | None:
 def _is_finished(folder: Path, evaluated: bool) -> bool:
     """Return whether a folder holds the complete run."""
     try:
-        complete = RunFolder(folder).read_json().get("outcome") == "complete"
+        complete = read_record(folder).outcome == "complete"
     except InputError:
         return False
     return complete and (not evaluated or (folder / METRICS).exists())

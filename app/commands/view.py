@@ -43,7 +43,7 @@ def view(places: Sequence[Path], web: bool = False) -> None:
             files += write_common_layout(runs, Path(folder))
             typer.echo("The list on the left has these runs:")
             for run in runs:
-                typer.echo(f"  {run.record.get('recording_id')}  {run.path}")
+                typer.echo(f"  {run.record.recording_id}  {run.path}")
             typer.echo("'ffmap compare' shows runs side by side, and their differences.")
         if web:
             _serve(files)
@@ -138,7 +138,7 @@ def write_common_layout(runs: Sequence[FinishedRun], folder: Path) -> list[Path]
     )
     written: dict[str, Path] = {}
     for number, run in enumerate(runs):
-        identity = str(run.record.get("recording_id"))
+        identity = run.record.recording_id
         if identity in written:
             raise InputError(f"{run.path}: is a copy of another of these runs; omit it")
         written[identity] = folder / f"{number}.rrd"

@@ -63,9 +63,7 @@ def _millimetres(length_m: np.floating[Any]) -> float:
     return round(float(length_m), 3)
 
 
-def _write_lines(
-    path: Path, ends: FloatArray, properties: Sequence[dict[str, object]]
-) -> None:
+def _write_lines(path: Path, ends: FloatArray, properties: Sequence[dict[str, object]]) -> None:
     features = [
         {"properties": own, "geometry": {"type": "LineString", "coordinates": line}}
         for own, line in zip(properties, ends, strict=True)

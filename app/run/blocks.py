@@ -84,6 +84,11 @@ class Block:
         return self.path.with_suffix(".final.arrow")
 
     @property
+    def final_evidence(self) -> Path:
+        """The part of the recording that its final labels are in."""
+        return self.path.with_suffix(".final.rrd")
+
+    @property
     def is_done(self) -> bool:
         """Whether an earlier start of the run has labelled it."""
         recorded = self.detail is None or self.evidence.exists()

@@ -119,12 +119,12 @@ def log_maps(maps: Maps, report: Report) -> None:
     log_rooms(report.log, maps.rooms)
     for segmented, graph in maps.compared_rooms.items():
         log_areas(report.log, graph, f"{entities.ROOMS_COMPARED}/{segmented}")
-    report.set_layout(maps.grid)
+    report.show_map(maps.grid)
 
 
 def write_maps(run: Run, building: Building, maps: Maps) -> None:
     """Write walls, doors, rooms, plan and grids."""
-    folder, outputs = run.folder.path, run.options.outputs
+    folder, outputs = run.folder, run.options.outputs
     if Output.GEOJSON in outputs:
         write_walls(folder / WALLS, building.model.walls, building.thickness_m)
         write_doors(folder / DOORS, building.model.doors, door_rooms(maps.rooms))

@@ -2,10 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import Trajectory
@@ -16,6 +14,7 @@ from ffmap.algorithms.poses.extrinsics import (
 )
 from ffmap.algorithms.poses.hand_eye import align_rotations, find_extrinsics
 from ffmap.algorithms.poses.patches import Patches
+from ffmap.app.folder.record import MountEntry
 from ffmap.app.progress import Progress
 from ffmap.app.run.odometry import run_odometry
 from ffmap.app.run.report import Report
@@ -52,7 +51,6 @@ _HITS_MIN, _RIVAL_MAX = 0.3, 0.9
 """Minimum share of returns that meet the other lidar's where extrinsics are found, and maximum
 ratio of the share by any other extrinsics to it."""
 
-
 Drive = Callable[[Sensor], Trajectory]
 
 
@@ -60,13 +58,12 @@ Drive = Callable[[Sensor], Trajectory]
 class CheckedExtrinsics:
     """What a drive shows of a vertical lidar's extrinsics.
 
-    alone: whether no other lidar has extrinsics to be checked. change: (7,) found less given, as
-    `RefinedExtrinsics.change`. clock_given_ns: time that is added to its stamps already.
-    own_rms_m: RMS distance (m) of the horizontal lidar's returns from surfaces of its other scans.
+    change: (7,) found less given, as `RefinedExtrinsics.change`. clock_given_ns: time that is
+    added to its stamps already. own_rms_m: RMS distance (m) of the horizontal lidar's returns from
+    surfaces of its other scans.
     """
 
     topic: str
-    alone: bool
     found: RefinedExtrinsics
     change: FloatArray
     clock_given_ns: int
@@ -80,14 +77,10 @@ class CheckedExtrinsics:
         return bool(off.any()) and self.found.rms_before_m > _BETTER * self.found.rms_after_m
 
     @property
-    def agrees(self) -> bool:
-        """Whether the surfaces of both lidars agree to the noise with the extrinsics found."""
-        return not self.found.rms_after_m > _NOISE_MAX * self.own_rms_m
-
-    @property
     def is_refined(self) -> bool:
-        """Whether the extrinsics found are near enough to the given ones to be used."""
-        return self.agrees and self.off_deg <= _REFINED_DEG and self.off_m <= _REFINED_M
+        """Whether the extrinsics found fit, and are near enough to the given ones to be used."""
+        fits = not self.found.rms_after_m > _NOISE_MAX * self.own_rms_m
+        return fits and self.off_deg <= _REFINED_DEG and self.off_m <= _REFINED_M
 
     @property
     def off_deg(self) -> float:
@@ -106,50 +99,33 @@ class CheckedExtrinsics:
         return MountCorrection(self.topic, rows, clock_ns)
 
     @property
-    def record(self) -> dict[str, Any]:
+    def entry(self) -> MountEntry:
         """The entry of run.json."""
-        found = self.found
-        figures = {"rms_as_given_m": found.rms_before_m, "rms_horizontal_m": self.own_rms_m}
-        if refined := bool(np.isfinite(found.sigma).all()):
-            figures |= {"rms_refined_m": found.rms_after_m, "clock_s": found.clock_s}
-            figures |= {"off_deg": self.off_deg, "off_m": self.off_m}
-        record: dict[str, Any] = {"used": "refined" if self.is_off else "as given"}
-        record |= {name: round(value, 6) for name, value in figures.items()}
-        if refined:
-            angles, shifts, clock = np.degrees(found.sigma[:3]), found.sigma[3:6], found.sigma[6:]
-            sigma = {"rotation_deg": angles, "shift_m": shifts, "clock_s": clock}
-            record["sigma"] = {name: v.round(6).tolist() for name, v in sigma.items()}
-        if self.is_off:
-            clock_ns = self.correction.clock_ns
-            record |= {"T_base_sensor": found.T_base_sensor.tolist(), "clock_ns": clock_ns}
-        return record
-
-    @property
-    def warning(self) -> str:
-        found, which = self.found, "" if self.alone else f" {self.topic}"
-        return (
-            f"the extrinsics of the vertical lidar{which} in the bag or rig file are wrong by "
-            f"{self.off_deg:.1f} deg and {100 * self.off_m:.1f} cm, and its clock by "
-            f"{1e3 * found.clock_s:+.0f} ms (known to {1e3 * found.sigma[6]:.0f} ms). Surfaces "
-            f"that both lidars see were {100 * found.rms_before_m:.1f} cm apart. With the refined "
-            f"extrinsics, which are used, they are {100 * found.rms_after_m:.1f} cm apart. "
-            "--mount as-given uses the bag's"
+        entry = MountEntry(
+            rms_horizontal_m=round(self.own_rms_m, 6),
+            rms_as_given_m=round(self.found.rms_before_m, 6),
+            rms_refined_m=round(self.found.rms_after_m, 6),
+        )
+        if not self.is_off:
+            return entry
+        T, clock_ns = self.correction.T_base_sensor, self.correction.clock_ns
+        return entry.model_copy(
+            update={"used": "refined", "T_base_sensor": T, "clock_ns": clock_ns}
         )
 
-    def late_warning(self, bag: str) -> str:
-        """Warn where only the whole drive shows that extrinsics are wrong. bag: as typed."""
+    def warning(self, end: str) -> str:
+        """Describe extrinsics that are wrong. end: what has been done about it, or can be."""
         found = self.found
         return (
             f"the extrinsics of {self.topic} in the bag or rig file are wrong by "
             f"{self.off_deg:.1f} deg and {100 * self.off_m:.1f} cm, or its clock by "
-            f"{1e3 * found.clock_s:+.0f} ms, as the whole drive shows. Surfaces that both lidars "
-            f"see are {100 * found.rms_before_m:.1f} cm apart, and "
-            f"{100 * found.rms_after_m:.1f} cm with extrinsics that fit. Run "
-            f"'ffmap calibrate {bag} --out rig.toml', then 'ffmap run {bag} --rig rig.toml'"
+            f"{1e3 * found.clock_s:+.0f} ms (known to {1e3 * found.sigma[6]:.0f} ms). Surfaces "
+            f"that both lidars see are {100 * found.rms_before_m:.1f} cm apart, and "
+            f"{100 * found.rms_after_m:.1f} cm with refined extrinsics. {end}"
         )
 
 
-def correct_extrinsics(run: Run, report: Report) -> Run:
+def correct_extrinsics(run: Run, report: Report) -> Inputs:
     """Refine the extrinsics of vertical lidars where the first seconds show them to be wrong.
 
     Raises InputError where extrinsics are wrong by more than a refinement can correct.
@@ -157,36 +133,40 @@ def correct_extrinsics(run: Run, report: Report) -> Run:
     inputs, horizontal = run.inputs, run.inputs.horizontal
     skip = run.given is not None or run.options.mount == "as-given"
     if horizontal is None or not inputs.others or skip:
-        return run
+        return inputs
 
-    def drive(sensor: Sensor, seconds: float = _LONG_S) -> Trajectory:
-        return drive_alone(inputs, run.settings, seconds, run.fingerprint, report.progress, sensor)
+    def drive(seconds: float) -> Trajectory:
+        return drive_alone(
+            inputs, run.settings, seconds, run.fingerprint, report.progress, horizontal
+        )
 
-    odometry = drive(horizontal, _FIRST_S)
-    lidars = check_extrinsics(inputs, odometry, run.settings, keep_agreeing=True)
+    lidars = check_extrinsics(inputs, drive(_FIRST_S), run.settings, keep_agreeing=True)
     if any(lidar.is_off for lidar in lidars):
-        odometry = drive(horizontal)
-        lidars = check_extrinsics(inputs, odometry, run.settings, *_TO_REFINE)
-    record = dict(run.record)
-    if lidars and lidars[0].alone:
-        record["mount"] = lidars[0].record
-    elif lidars:
-        record["mounts"] = {lidar.topic: lidar.record for lidar in lidars}
+        lidars = check_extrinsics(inputs, drive(_LONG_S), run.settings, *_TO_REFINE)
+    report.add(mounts={lidar.topic: lidar.entry for lidar in lidars})
     off = [lidar for lidar in lidars if lidar.is_off]
     for lidar in off:
         if not lidar.is_refined:
-            raise InputError(_refusal(run, lidar, odometry, drive))
-        report.warn(lidar.warning)
-    corrected = inputs.with_mounts(lidar.correction for lidar in off) if off else inputs
-    return replace(run, inputs=corrected, record=record)
+            raise InputError(_refusal(inputs, lidar))
+        report.warn(
+            lidar.warning("These are used; --mount as-given uses those of the bag or rig file")
+        )
+    return inputs.with_mounts(lidar.correction for lidar in off) if off else inputs
 
 
 def check_whole_drive(run: Run, trajectory: Trajectory, report: Report) -> None:
     """Warn of extrinsics that the whole drive shows to be wrong: a straight start hides a clock."""
-    if run.options.mount == "refine":
-        for lidar in check_extrinsics(run.inputs, trajectory, run.settings, keep_agreeing=True):
-            if lidar.is_off:
-                report.warn(lidar.late_warning(run.inputs.bag_path.words))
+    if run.options.mount == "as-given":
+        return
+    bag = run.inputs.bag_path.words
+    for lidar in check_extrinsics(run.inputs, trajectory, run.settings, keep_agreeing=True):
+        if lidar.is_off:
+            report.warn(
+                lidar.warning(
+                    "The whole drive shows this, not its first seconds. Run 'ffmap calibrate "
+                    f"{bag} --out rig.toml', then 'ffmap run {bag} --rig rig.toml'"
+                )
+            )
 
 
 def check_extrinsics(
@@ -216,35 +196,21 @@ def check_extrinsics(
         T_given, clock_ns = sensor.lidar.T_base_sensor, sensor.lidar.decoding.clock_ns
         agree_m = _BETTER * own_rms_m if keep_agreeing else 0.0
         if found := refine_extrinsics(patches, odometry, scans, T_given, returns, agree_m):
-            alone, change = len(inputs.others) == 1, found.change(T_given)
-            topic = sensor.lidar.topic
-            checked.append(CheckedExtrinsics(topic, alone, found, change, clock_ns, own_rms_m))
+            topic, change = sensor.lidar.topic, found.change(T_given)
+            checked.append(CheckedExtrinsics(topic, found, change, clock_ns, own_rms_m))
     return checked
 
 
-def _refusal(run: Run, lidar: CheckedExtrinsics, odometry: Trajectory, drive: Drive) -> str:
-    """Name the transform that is wrong, about what it should be, and the fix."""
-    inputs, bag = run.inputs, run.inputs.bag_path
-    sensor = next(sensor for sensor in inputs.others if sensor.lidar.topic == lidar.topic)
-    fits: MountCorrection | str = lidar.correction
-    if not lidar.agrees:
-        seen = map_of(inputs, odometry, run.settings, _SEARCHED)
-        fits = extrinsics_by_motion(inputs, sensor, odometry, seen, run.settings, drive)
-    child = sensor.lidar.frame_id
+def _refusal(inputs: Inputs, lidar: CheckedExtrinsics) -> str:
+    """Name the transform that is wrong, and the fix."""
+    bag = inputs.bag_path
+    child = next(s.lidar.frame_id for s in inputs.others if s.lidar.topic == lidar.topic)
     edges = (edge for edge in inputs.rig.static_transforms if edge.child == child)
     parent = next((edge.parent for edge in edges), inputs.rig.base_frame)
-    needed = ""
-    if not isinstance(fits, str):
-        T = inputs.with_mounts([fits]).rig.tree.between(parent, child)
-        if T is not None:
-            shift = ", ".join(f"{v:.2f}" for v in T[:3, 3])
-            angles = Rotation.from_matrix(T[:3, :3]).as_euler("xyz", degrees=True)
-            turn = ", ".join(f"{round(v)}" for v in angles)
-            needed = f"; about x, y, z = {shift} m and roll, pitch, yaw = {turn} deg would fit"
     apart_cm, noise_cm = 100 * lidar.found.rms_before_m, 100 * lidar.own_rms_m
     return (
         f"{bag}: the transform {parent} -> {child} is wrong: surfaces that {lidar.topic} and the "
-        f"horizontal lidar see are {apart_cm:.1f} cm apart (noise: {noise_cm:.1f} cm){needed}. Run "
+        f"horizontal lidar see are {apart_cm:.1f} cm apart (noise: {noise_cm:.1f} cm). Run "
         f"'ffmap calibrate {bag.words} --from-motion --out rig.toml', then 'ffmap run {bag.words} "
         "--rig rig.toml'; --mount as-given uses it all the same"
     )

@@ -1,11 +1,10 @@
 """Relabel every scan by the building, in worker processes, and write the labels."""
 
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
-from contextlib import ExitStack, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 from ffmap.algorithms.base import transforms
@@ -19,7 +18,7 @@ from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.app.folder.labelled_bag import write_labelled_bag
-from ffmap.app.folder.labels_file import LabelsWriter, ScanLabels, clouds_of
+from ffmap.app.folder.labels_file import ScanLabels, write_labels
 from ffmap.app.folder.names import LABELS
 from ffmap.app.record.log import Log
 from ffmap.app.record.scans import log_final
@@ -30,31 +29,8 @@ from ffmap.app.run.scans import LabelledScans
 from ffmap.app.run.start import Run
 from ffmap.app.setup.inputs import commonest
 from ffmap.app.setup.outputs import Detail, Output
-from ffmap.loaders.bag import open_bag
 from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan
-
-
-@dataclass(frozen=True)
-class FinalLabels:
-    """The final labels by voxel of the map; digest: see `LabelsWriter`."""
-
-    votes: VoxelVotes
-    digest: str
-
-
-@dataclass(frozen=True)
-class RelabelJob:
-    """A block to be relabelled. halo: file that each worker reads once, for it is large."""
-
-    block: Block
-    building: BuildingModel
-    halo: Path
-
-    @property
-    def evidence(self) -> Path:
-        """Its part of the recording."""
-        return self.block.path.with_suffix(".final.rrd")
 
 
 @dataclass(frozen=True)
@@ -69,41 +45,45 @@ def relabel_scans(
     trajectory: Trajectory,
     executor: Executor,
     report: Report,
-) -> FinalLabels:
-    """Relabel all scans, and write labels and labelled bag while workers go on."""
-    inputs, outputs, folder = run.inputs, run.options.outputs, run.folder.path
+) -> VoxelVotes:
+    """Relabel all scans, and write labels and labelled bag while workers go on.
+
+    Returns the final labels by voxel of the map.
+    """
+    inputs = run.inputs
     report.progress.stage("final", len(labelled.blocks))
-    halo = run.folder.spool / "halo.arrow"
+    # A file that each worker reads once, for it is large.
+    halo = run.spool / "halo.arrow"
     write_arrays(halo, pack(building.halo))
-    jobs = [RelabelJob(block, building.model, halo) for block in labelled.blocks]
+    relabel = partial(relabel_block, building=building.model, halo=halo)
+    relabelled = zip(labelled.blocks, executor.map(relabel, labelled.blocks), strict=True)
     votes = VoxelTable(VOXEL_M, len(Label))
-    topics = [sensor.lidar.topic for sensor in inputs.verticals]
-    path = folder / LABELS if Output.LABELS in outputs else None
-    writer = LabelsWriter(path, clouds_of(inputs.scans, topics))
-    labels = writer.passing(_labels(run, jobs, votes, executor, report))
-    if Output.LABELLED_BAG in outputs:
-        indices = [sensor.index for sensor in inputs.verticals]
-        with ExitStack() as stack:
-            bags = [stack.enter_context(open_bag(inputs.bag_path)) for _ in indices]
-            write_labelled_bag(folder, bags, indices, inputs.rig, trajectory, labels)
-    deque(labels, maxlen=0)
-    return FinalLabels(votes.votes(), writer.digest)
+    path = run.folder / LABELS if Output.LABELS in run.options.outputs else None
+    digest = write_labels(path, _labels(run, relabelled, votes, report))
+    report.add(labels_digest=digest)
+    if Output.LABELLED_BAG in run.options.outputs:
+        labels = (row for block in labelled.blocks for row in _labels_of(block))
+        write_labelled_bag(run.folder, inputs, trajectory, labels)
+    return votes.votes()
 
 
 def _labels(
-    run: Run, jobs: list[RelabelJob], votes: VoxelTable, executor: Executor, report: Report
+    run: Run,
+    relabelled: Iterable[tuple[Block, list[SkippedScan]]],
+    votes: VoxelTable,
+    report: Report,
 ) -> Iterator[ScanLabels]:
-    """Yield the labels of each scan, block by block; `votes` takes the final ones."""
+    """Yield the labels of each scan, block by block; `votes` takes the final ones.
+
+    relabelled: the blocks, each with its scans that failed.
+    """
     failed: list[SkippedScan] = []
-    for job, failed_here in zip(jobs, executor.map(relabel_block, jobs), strict=True):
+    for block, failed_here in relabelled:
         failed += failed_here
         report.check_failed(failed, len(run.inputs.scans), "final labelling")
-        report.add_part(job.evidence)
-        arrays = map_arrays(job.block.relabelled)
-        votes.absorb(unpack(VoxelVotes, arrays, "votes_"))
-        scans = unpack_rows(LabelledScan, map_arrays(job.block.labelled))
-        for scan, final in zip(scans, unpack_rows(_RelabelledScan, arrays), strict=True):
-            yield scan.scan, final.label, scan.label_cloud
+        report.add_part(block.final_evidence)
+        votes.absorb(unpack(VoxelVotes, map_arrays(block.relabelled), "votes_"))
+        yield from _labels_of(block)
         report.progress.advance()
     if failed:
         why = commonest([scan.reason for scan in failed])
@@ -113,19 +93,28 @@ def _labels(
         )
 
 
-def relabel_block(job: RelabelJob) -> list[SkippedScan]:
+def _labels_of(block: Block) -> Iterator[ScanLabels]:
+    """Read the labels of a block that was relabelled."""
+    scans = unpack_rows(LabelledScan, map_arrays(block.labelled))
+    finals = unpack_rows(_RelabelledScan, map_arrays(block.relabelled))
+    lidar_of, verticals = block.inputs.scans.lidar, block.inputs.verticals
+    for scan, final in zip(scans, finals, strict=True):
+        topic = verticals[lidar_of[scan.scan]].lidar.topic
+        yield ScanLabels(scan.scan, topic, scan.stamp_ns, final.label, scan.label_cloud)
+
+
+def relabel_block(block: Block, building: BuildingModel, halo: Path) -> list[SkippedScan]:
     """Relabel every return of a block; scans whose data raise an exception keep their labels."""
-    block = job.block
     if block.resumed and block.relabelled.exists():
         return []
     scans = unpack_rows(LabelledScan, map_arrays(block.labelled))
-    halo = _halo(job.halo, block.recording_id)
-    relabelling = Relabelling.of(job.building, halo, block.settings.relabelling)
+    own_halo = _read_halo(halo, block.recording_id)
+    relabelling = Relabelling.of(building, own_halo, block.settings.relabelling)
     labels: list[_RelabelledScan] = []
     failed: list[SkippedScan] = []
     votes = VoxelTable(VOXEL_M, len(Label))
     # A recording of the map alone contains no final labels, and Rerun rejects an empty file.
-    with nullcontext() if block.detail is Detail.MAP else block.log(job.evidence) as log:
+    with nullcontext() if block.detail is Detail.MAP else block.log(block.final_evidence) as log:
         for scan in scans:
             try:
                 label = _relabel(scan, relabelling, log)
@@ -155,6 +144,6 @@ def _relabel(scan: LabelledScan, relabelling: Relabelling, log: Log | None) -> U
 
 
 @lru_cache(maxsize=1)
-def _halo(path: Path, _recording_id: str) -> Halo:
+def _read_halo(path: Path, _recording_id: str) -> Halo:
     """Map the halo once in a process for each run: another run may write to the same path."""
     return unpack(Halo, map_arrays(path))

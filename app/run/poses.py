@@ -1,8 +1,7 @@
 """Poses of a run: the odometry in the levelled map, or poses that are given."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,14 +32,11 @@ class RunPoses:
 
     trajectory: with loops closed. registered: without; scans are labelled with these poses, which
     have no seams. floor_slope: (2,) of the map's floor, metres up for each metre along x and y.
-    counts: for run.json. cached: whether the odometry was cached.
     """
 
     trajectory: Trajectory
     registered: Trajectory
     floor_slope: FloatArray
-    counts: dict[str, Any] = field(default_factory=dict)
-    cached: bool = False
 
     @property
     def base_height_m(self) -> float:
@@ -83,17 +79,13 @@ def estimate_poses(
             f"{inputs.bag_path}: {sensor.lidar.topic} has no usable cloud; 'ffmap info' shows why"
         )
     level = level_by_first_scans(inputs, odometry.registered, settings)
-    counts: dict[str, Any] = {"registrations": len(odometry.index)}
     if log is not None and report is not None:
         log.flush()
-        counts["weak_registrations"] = len(log.weak)
-        _warn(inputs, odometry, level, log.weak, report)
+        _report_odometry(inputs, odometry, level, log.weak, report)
         _log_loops(odometry, level, report)
-    if (graph := odometry.pose_graph) is not None:
-        counts["loops"] = int(np.count_nonzero(graph.is_loop & (graph.weight > 0)))
     T = level.T_map_odom
     trajectory, registered = odometry.trajectory.moved(T), odometry.registered.moved(T)
-    return RunPoses(trajectory, registered, level.floor_slope, counts, odometry.cached)
+    return RunPoses(trajectory, registered, level.floor_slope)
 
 
 class _RegistrationLog:
@@ -135,9 +127,14 @@ class _RegistrationLog:
         self._waiting = []
 
 
-def _warn(
+def _report_odometry(
     inputs: Inputs, odometry: Odometry, level: Level, weak: list[str], report: Report
 ) -> None:
+    """Report counts and warnings. weak: why some registrations are weak."""
+    report.add(odometry_cached=odometry.cached)
+    report.count(registrations=len(odometry.index), weak_registrations=len(weak))
+    if (graph := odometry.pose_graph) is not None:
+        report.count(loops=int(np.count_nonzero(graph.is_loop & (graph.weight > 0))))
     if odometry.cached:
         report.progress.say(
             f"odometry: read from the cache in {cache_folder()}; set {CACHE_VARIABLE} to use "
@@ -167,7 +164,7 @@ def _warn(
             "no floor was found in the first seconds: the map is as level as the base. Check the "
             "rig"
         )
-    if (graph := odometry.pose_graph) is not None and len(graph.slips):
+    if graph is not None and len(graph.slips):
         report.warn(
             f"the odometry slipped near scan {', '.join(map(str, graph.slips))}. Loops corrected "
             "it to a few centimetres: see the tab Odometry of the recording"

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,10 +24,6 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.scans import SkippedScan
 
 SCANS_PER_BLOCK = 20
-_FIRST_SCANS = 4
-"""Number of scans in the first block: a viewer shows them half a second sooner."""
-_WARNED_ONE_BY_ONE = 5
-"""Number of skipped clouds that are reported one by one."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +31,7 @@ class LabelledScans:
     """All labelled scans of a run.
 
     scan, stamps_ns: (s,) number and stamp of each. votes: labels by voxel of the map. rivals:
-    returns that the maps of Fig. 6 and 9 are drawn from. counts, seconds, statistics: for run.json.
+    returns that the maps of Fig. 6 and 9 are drawn from.
     """
 
     blocks: tuple[Block, ...]
@@ -44,9 +39,6 @@ class LabelledScans:
     stamps_ns: IntArray
     votes: VoxelVotes
     rivals: VoxelVotes
-    counts: dict[str, Any]
-    seconds: dict[str, float]
-    statistics: dict[str, Any]
 
 
 def label_scans(run: Run, poses: RunPoses, executor: Executor, report: Report) -> LabelledScans:
@@ -58,8 +50,6 @@ def label_scans(run: Run, poses: RunPoses, executor: Executor, report: Report) -
     scans: list[ScanFigures] = []
     skipped: list[SkippedScan] = []
     for block, labelled in zip(blocks, executor.map(label_block, blocks), strict=True):
-        for cloud in labelled.skipped[: max(0, _WARNED_ONE_BY_ONE - len(skipped))]:
-            report.progress.warn(f"scan {cloud.index} skipped: {cloud.reason}")
         skipped += labelled.skipped
         scans += labelled.scans
         report.check_failed([s for s in skipped if s.trace], len(order), "labelling")
@@ -76,51 +66,45 @@ def label_scans(run: Run, poses: RunPoses, executor: Executor, report: Report) -
                 log_map_block(report.log, last.scan, last.stamp_ns, points, label)
         report.progress.advance()
     if not scans:
-        raise InputError(f"{run.inputs.bag_path}: {_no_scan(run, skipped)}; 'ffmap info' shows why")
+        topics = " and ".join(sensor.lidar.topic for sensor in run.inputs.verticals)
+        why = commonest([cloud.reason for cloud in skipped])
+        raise InputError(
+            f"{run.inputs.bag_path}: no usable cloud on {topics} ({why}); 'ffmap info' shows why"
+        )
     numbers, stamps_ns = _column(scans, "scan"), _column(scans, "stamp_ns")
     if report.log:
         log_metrics(report.log, stamps_ns, numbers, _column(scans, "metrics"))
         log_trajectory(report.log, stamps_ns, poses.trajectory.at(stamps_ns), numbers)
         report.flush()
+    report.count(**_counts(run, scans, skipped))
+    _report_times(scans, report)
     _warn(run, scans, skipped, report)
-    return LabelledScans(
-        blocks=tuple(blocks),
-        scan=numbers,
-        stamps_ns=stamps_ns,
-        votes=votes.votes(),
-        rivals=rivals.votes(),
-        counts=_counts(run, scans, skipped),
-        seconds=_seconds(scans),
-        statistics=_statistics(scans),
-    )
-
-
-def block_bounds(scans: int) -> list[tuple[int, int]]:
-    """Divide scans into blocks: the first scan of each, and the one after its last."""
-    bounds = [0, *range(_FIRST_SCANS, scans, SCANS_PER_BLOCK), scans]
-    return [(first, end) for first, end in pairwise(bounds) if end > first]
+    return LabelledScans(tuple(blocks), numbers, stamps_ns, votes.votes(), rivals.votes())
 
 
 def split_blocks(run: Run, poses: RunPoses, recorded: bool) -> list[Block]:
-    """Divide all scans into blocks."""
+    """Divide all scans into blocks. recorded: whether they are logged to a recording."""
     stamps_ns = run.inputs.scans.stamp_ns
-    return [
-        Block(
-            first=first,
-            count=end - first,
-            inputs=run.inputs,
-            settings=run.settings,
-            trajectory=poses_around(poses.trajectory, stamps_ns[first:end]),
-            registered=poses_around(poses.registered, stamps_ns[first:end]),
-            base_height_m=poses.base_height_m,
-            floor_slope=poses.floor_slope,
-            recording_id=run.record["recording_id"],
-            detail=run.options.detail if recorded else None,
-            path=run.folder.spool / f"{number:05d}",
-            resumed=run.resumed,
+    blocks = []
+    for first in range(0, len(stamps_ns), SCANS_PER_BLOCK):
+        own_ns = stamps_ns[first : first + SCANS_PER_BLOCK]
+        blocks.append(
+            Block(
+                first=first,
+                count=len(own_ns),
+                inputs=run.inputs,
+                settings=run.settings,
+                trajectory=poses_around(poses.trajectory, own_ns),
+                registered=poses_around(poses.registered, own_ns),
+                base_height_m=poses.base_height_m,
+                floor_slope=poses.floor_slope,
+                recording_id=run.record.recording_id,
+                detail=run.options.detail if recorded else None,
+                path=run.spool / f"{first:06d}",
+                resumed=run.resumed,
+            )
         )
-        for number, (first, end) in enumerate(block_bounds(len(stamps_ns)))
-    ]
+    return blocks
 
 
 def _column(scans: Sequence[ScanFigures], name: str) -> Any:  # noqa: ANN401 - any array
@@ -145,33 +129,27 @@ def _counts(
     return counts
 
 
-def _seconds(scans: Sequence[ScanFigures]) -> dict[str, float]:
-    medians = np.median(_column(scans, "milliseconds"), axis=0) / 1e3
-    return {f"{stage}_per_scan": float(s) for stage, s in zip(STAGES, medians, strict=True)}
-
-
-def _statistics(scans: Sequence[ScanFigures]) -> dict[str, Any]:
-    """Compute Table I of the paper."""
+def _report_times(scans: Sequence[ScanFigures], report: Report) -> None:
+    """Report the median time of each stage of a scan, and Table I of the paper."""
     milliseconds = dict(zip(STAGES, _column(scans, "milliseconds").T, strict=True))
+    medians = {name: float(np.median(values)) for name, values in milliseconds.items()}
     columns = {
         "milliseconds_per_cloud": milliseconds["smoothing"] + milliseconds["labelling"],
         "points_in_cloud": _column(scans, "cloud_size").astype(np.float64),
         "points_in_lines": _column(scans, "points_in_lines").astype(np.float64),
     }
-    return {
-        name: {
-            "mean": float(values.mean()),
-            "standard_deviation": float(values.std()),
-            "min": float(values.min()),
-            "max": float(values.max()),
-        }
-        for name, values in columns.items()
-    }
-
-
-def _no_scan(run: Run, skipped: Sequence[SkippedScan]) -> str:
-    topics = " and ".join(sensor.lidar.topic for sensor in run.inputs.verticals)
-    return f"no usable cloud on {topics} ({commonest([cloud.reason for cloud in skipped])})"
+    report.add(
+        timings_s={f"{name}_per_scan": median / 1e3 for name, median in medians.items()},
+        statistics={
+            name: {
+                "mean": float(values.mean()),
+                "standard_deviation": float(values.std()),
+                "min": float(values.min()),
+                "max": float(values.max()),
+            }
+            for name, values in columns.items()
+        },
+    )
 
 
 def _warn(
@@ -179,7 +157,7 @@ def _warn(
 ) -> None:
     if skipped:
         why = commonest([cloud.reason for cloud in skipped])
-        report.warn(f"{len(skipped)} vertical clouds skipped: {why}", show=False)
+        report.warn(f"{len(skipped)} vertical clouds skipped: {why}")
     beyond = _column(scans, "beyond_range")
     if beyond.any():
         report.warn(
@@ -194,5 +172,5 @@ def _warn(
             f"{len(rejected):,} of the scans {first} to {last} show more ground "
             f"{100 * abs(off_m):.0f} cm {'below' if off_m < 0 else 'above'} the floor under the "
             "robot than at its height, for example outside a window. It is not used as the floor. "
-            f"'ffmap inspect {run.folder.path} --scan {first}' shows it"
+            f"'ffmap inspect {run.folder} --scan {first}' shows it"
         )

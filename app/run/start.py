@@ -6,13 +6,20 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from threading import Thread
-from typing import Any
 
-from ffmap.app.folder import names as run_folder
-from ffmap.app.folder.names import PROGRAM, RUN_JSON, RunFolder
-from ffmap.app.folder.record import FROM_ODOMETRY, bag_entry, bag_of, mount_corrections
+from ffmap.app.folder import run_folder
+from ffmap.app.folder.names import RUN_JSON, SPOOL
+from ffmap.app.folder.record import (
+    FROM_ODOMETRY,
+    PROGRAM,
+    BagEntry,
+    LidarEntry,
+    RunRecord,
+    read_record,
+)
 from ffmap.app.record.stream import check_viewer, start_viewer
 from ffmap.app.run.given_poses import GivenPoses, given_poses
 from ffmap.app.setup.inputs import Inputs, find_inputs
@@ -23,7 +30,7 @@ from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_checks import clock_problem
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.fingerprint import fingerprint
-from ffmap.loaders.rig import MountCorrection
+from ffmap.loaders.rig import Lidar, MountCorrection
 
 _MARGIN_NS = 1_000_000_000
 """Maximum time (ns) of a vertical cloud before or after those of the horizontal lidar."""
@@ -42,10 +49,15 @@ class Run:
     given: GivenPoses | None
     settings: Settings
     options: RunOptions
-    folder: RunFolder
-    record: dict[str, Any]
+    folder: Path
+    record: RunRecord
     resumed: bool
     fingerprint: Callable[[], str]
+
+    @property
+    def spool(self) -> Path:
+        """The folder of finished blocks; removed when the run is complete."""
+        return self.folder / SPOOL
 
 
 @contextmanager
@@ -57,50 +69,46 @@ def new_run(
     Raises InputError for what the user can correct; an earlier run is still complete then.
     """
     inputs, given = _find(bag, options, settings)
-    path = out or run_folder.default_path(inputs.bag_path, settings.short_hash())
+    started = f"{datetime.now():%Y%m%d-%H%M%S}"
+    folder = out or Path("runs") / f"{bag.stem}-{started}-{settings.short_hash()}"
     if options.scheduler is not None:
         # Processes of a cluster work in other folders.
-        inputs, path = replace(inputs, bag_path=inputs.bag_path.resolve()), path.resolve()
+        folder = folder.resolve()
     named = (*bag.parts, options.rig, options.trajectory)
     read = [Path(name) for name in named if name is not None and Path(name).exists()]
-    folder = run_folder.create(path, overwrite, read)
-    with run_folder.held(path):
+    run_folder.create(folder, overwrite, read)
+    with run_folder.held(folder):
         options = _with_viewer(options)
-        folder.clear()
-        record = first_record(inputs, settings, options)
-        if given is not None:
-            record |= {"map_origin": given.origin_m.tolist(), "poses_frame": given.frame}
+        run_folder.clear(folder)
+        record = _first_record(inputs, given, settings, options)
         digest = _hash_in_background(inputs.bag_path)
         yield Run(inputs, given, settings, options, folder, record, False, digest)
 
 
 @contextmanager
-def resumed_run(path: Path, now: RunOptions) -> Iterator[Run | None]:
+def resumed_run(folder: Path, now: RunOptions) -> Iterator[Run | None]:
     """Prepare a run that was killed, as it was started; None where it is complete.
 
     now: options that run.json does not contain.
     """
-    path = path if now.scheduler is None else path.resolve()
-    with run_folder.held(path):
-        folder = RunFolder(path)
-        record = folder.read_json()
-        if record.get("outcome") == "complete":
+    read_record(folder)
+    folder = folder if now.scheduler is None else folder.resolve()
+    with run_folder.held(folder):
+        record = read_record(folder)
+        if record.outcome == "complete":
             yield None
             return
-        bag, options, settings = _as_started(path, record)
-        options, mounts = options.resumed_with(now), mount_corrections(record)
+        bag, settings = _as_started(folder, record)
+        options, mounts = record.options.resumed_with(now), record.mount_corrections
         inputs, given = _find(bag, options, settings, mounts)
         if mounts:
             # They were refined before.
             options = options.model_copy(update={"mount": "as-given"})
-        if options.scheduler is not None:
-            inputs = replace(inputs, bag_path=inputs.bag_path.resolve())
         digest = _hash_in_background(inputs.bag_path)
-        if "digest" in record["bag"] and record["bag"]["digest"] != digest():
+        if record.bag.digest not in (None, digest()):
             raise InputError(
-                f"{inputs.bag_path}: is not the bag that {path} was started with; start a new run"
+                f"{inputs.bag_path}: is not the bag that {folder} was started with; start a new run"
             )
-        folder.spool.mkdir(exist_ok=True)
         options = _with_viewer(options)
         yield Run(inputs, given, settings, options, folder, record, True, digest)
 
@@ -147,28 +155,36 @@ def check_lidars_meet(inputs: Inputs) -> None:
             raise InputError(f"{inputs.bag_path}: no vertical cloud has a pose: {problem}")
 
 
-def first_record(inputs: Inputs, settings: Settings, options: RunOptions) -> dict[str, Any]:
+def _first_record(
+    inputs: Inputs, given: GivenPoses | None, settings: Settings, options: RunOptions
+) -> RunRecord:
     """Create the content of run.json at the start: everything that the run is made from."""
-    rig: dict[str, Any] = {}
-    for role, sensor in inputs.by_role.items():
-        lidar = sensor.lidar
-        rig[role] = {"topic": lidar.topic, "frame": lidar.frame_id, "why": lidar.reasons}
-        if (body := lidar.decoding.own_body) is not None:
-            rig[role]["own_body_share"] = round(body.share, 5)
-    return {
-        "program": PROGRAM,
-        "recording_id": str(uuid.uuid4()),
-        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "bag": {**bag_entry(inputs.bag_path), "container": inputs.container},
-        "base_frame": inputs.rig.base_frame,
-        "mounts_from": inputs.rig.mounts_from,
-        "rig": rig,
-        "poses_from": options.trajectory or FROM_ODOMETRY,
-        "settings_hash": settings.short_hash(),
-        "settings": settings.model_dump(mode="json"),
-        "options": options.stored(),
-        "versions": versions(),
-    }
+    record = RunRecord(
+        program=PROGRAM,
+        recording_id=str(uuid.uuid4()),
+        started=time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        bag=BagEntry.of(inputs.bag_path, inputs.container),
+        base_frame=inputs.rig.base_frame,
+        mounts_from=inputs.rig.mounts_from,
+        rig={role: _lidar_entry(sensor.lidar) for role, sensor in inputs.by_role.items()},
+        poses_from=options.trajectory or FROM_ODOMETRY,
+        settings_hash=settings.short_hash(),
+        settings=settings.model_dump(mode="json"),
+        options=options.with_digests(),
+        versions=versions(),
+    )
+    if given is None:
+        return record
+    origin = tuple(given.origin_m.tolist())
+    return record.model_copy(update={"map_origin": origin, "poses_frame": given.frame})
+
+
+def _lidar_entry(lidar: Lidar) -> LidarEntry:
+    body = lidar.decoding.own_body
+    share = None if body is None else round(body.share, 5)
+    return LidarEntry(
+        topic=lidar.topic, frame=lidar.frame_id, why=lidar.reasons, own_body_share=share
+    )
 
 
 def _with_viewer(options: RunOptions) -> RunOptions:
@@ -185,28 +201,25 @@ def _with_viewer(options: RunOptions) -> RunOptions:
         raise InputError(f"--spawn: {error} Omit it: recording.rrd can be opened later") from error
 
 
-def _as_started(path: Path, record: dict[str, Any]) -> tuple[BagPath, RunOptions, Settings]:
-    """Read what a killed run was started with. record: its run.json."""
-    bag = bag_of(record)
-    lacking = [name for name in ("bag", "options", "settings") if not record.get(name)]
-    if lacking or bag is None:
-        raise InputError(f"{path / RUN_JSON}: lacks {[*lacking, 'bag.path'][0]}; start a new run")
-    options = RunOptions.model_validate(record["options"])
-    settings = validate(record["settings"], str(path / RUN_JSON))
+def _as_started(folder: Path, record: RunRecord) -> tuple[BagPath, Settings]:
+    """Return bag and settings of a killed run. Raises InputError where anything has changed."""
+    bag, options, now = record.bag.bag_path, record.options, versions()
+    if bag is None or not record.settings:
+        raise InputError(f"{folder / RUN_JSON}: lacks the bag or the settings; start a new run")
     if bag.missing is not None:
         raise InputError(
             f"{bag.missing}: the bag of the run is missing; bring it back, or start a new run"
         )
-    started, now = record.get("versions", {}), versions()
-    if any(started.get(name) != now[name] for name in ("furniture-free-mapping", "git_revision")):
+    program = ("furniture-free-mapping", "git_revision")
+    if any(record.versions.get(name) != now[name] for name in program):
         raise InputError(
-            f"{path}: was started by another version of ffmap, whose labels may differ; start a "
+            f"{folder}: was started by another version of ffmap, whose labels may differ; start a "
             "new run"
         )
-    if options.stored()["digests"] != options.digests:
+    if options.with_digests().digests != options.digests:
         files = " or ".join(str(f) for f in (options.rig, options.trajectory) if f is not None)
         raise InputError(
-            f"{files}: is not what {path} was started with, or is missing; bring that back, or "
+            f"{files}: is not what {folder} was started with, or is missing; bring that back, or "
             "start a new run"
         )
-    return bag, options, settings
+    return bag, validate(record.settings, str(folder / RUN_JSON))

@@ -1,17 +1,14 @@
 """Worker processes of a run, as an executor: here, or on a Dask cluster (see `cluster`)."""
 
-import atexit
 import multiprocessing as mp
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from multiprocessing import connection, forkserver
-from multiprocessing.context import ForkServerContext, SpawnContext
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ffmap.loaders.errors import InputError
@@ -44,7 +41,11 @@ def make_pool(workers: int) -> Iterator[Executor]:
     if workers == 1:
         yield _Serial()
         return
-    pool = ProcessPoolExecutor(workers, process_context(), _start_as_worker)
+    # Forked from a server, for this process has threads. It imports while the odometry runs.
+    context = mp.get_context("forkserver")
+    context.set_forkserver_preload(["ffmap.app.run.preload"])
+    forkserver.ensure_running()
+    pool = ProcessPoolExecutor(workers, context, _start_as_worker)
     try:
         yield pool
     except BaseException as error:
@@ -91,33 +92,6 @@ def run_executor(
     with connect(scheduler, needed) as cluster:
         say(f"cluster: {cluster.slots} blocks of scans at once")
         yield cluster.executor
-
-
-def process_context() -> ForkServerContext | SpawnContext:
-    """Fork workers from a server that has imported what they need, where the system can.
-
-    Imports take two seconds. Nothing is forked from the run's own process, which has threads.
-    """
-    if sys.platform != "linux":
-        return mp.get_context("spawn")
-    context = mp.get_context("forkserver")
-    context.set_forkserver_preload(["ffmap.app.run.preload"])
-    return context
-
-
-def start_server() -> None:
-    """Start the server of the workers; it imports while this process does."""
-    if isinstance(process_context(), ForkServerContext):
-        forkserver.ensure_running()
-        atexit.register(_end_server)
-
-
-def _end_server() -> None:
-    """End a server that still imports: it holds the output of this process open."""
-    server = getattr(forkserver, "_forkserver", None)
-    if (pid := getattr(server, "_forkserver_pid", None)) is not None:
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
 
 
 def _start_as_worker() -> None:

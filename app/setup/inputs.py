@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ffmap.algorithms.base.scan import Scan
 from ffmap.app.setup.options import RunOptions
-from ffmap.loaders.bag import Bag, open_bag
+from ffmap.loaders.bag import Bag, Container, open_bag
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.cloud_checks import clock_problem, gap_problem, stamp_problem
 from ffmap.loaders.cloud_index import CloudIndex
@@ -19,8 +19,6 @@ from ffmap.loaders.rig import Lidar, MountCorrection, Rig
 from ffmap.loaders.scan_order import ScanOrder
 from ffmap.loaders.scans import SkippedScan, read_scans
 
-_FAILED_SHARE_MAX = 0.2
-"""Maximum share of scans that may fail; with more, the bag or the options are wrong."""
 _REASONS_READ = 50
 _NO_POSE = (
     "its returns are too few, or all in a line, to be registered, its times overlap those of a "
@@ -41,7 +39,7 @@ class Inputs:
     """Everything that worker processes need to read scans for themselves."""
 
     bag_path: BagPath
-    container: str
+    container: Container
     rig: Rig
     horizontal: Sensor | None
     verticals: tuple[Sensor, ...]
@@ -161,18 +159,6 @@ def why_skipped(bag_path: BagPath, sensor: Sensor, clouds: Sequence[int]) -> str
             for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
                 reasons.append(scan.reason if isinstance(scan, SkippedScan) else _NO_POSE)
     return commonest(reasons)
-
-
-def check_failed(bag_path: BagPath, failed: Sequence[SkippedScan], scans: int, what: str) -> None:
-    """Raise InputError if too many scans failed."""
-    if len(failed) > _FAILED_SHARE_MAX * scans:
-        why = commonest([scan.reason for scan in failed])
-        count = sum(scan.reason == why for scan in failed)
-        raise InputError(
-            f"{bag_path}: {what} failed for {len(failed)} of {scans} scans so far, {count} times "
-            f"with {why}; check lidars, transforms and poses ('ffmap info {bag_path.words}'); "
-            "run.json contains the traceback"
-        )
 
 
 def commonest(reasons: Sequence[str]) -> str:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import xxhash
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from ffmap.app.setup.outputs import RUN_OUTPUTS, Detail, Output
 
@@ -39,32 +39,17 @@ class RunOptions(BaseModel):
     quiet: bool = Field(False, exclude=True)
     verbose: bool = Field(False, exclude=True)
 
-    @field_validator("vertical", mode="before")
-    @classmethod
-    def _as_several(cls, value: object) -> object:
-        """Accept one topic, or null, as earlier versions wrote."""
-        return (value,) if isinstance(value, str) else value or ()
-
-    @field_validator("outputs", mode="before")
-    @classmethod
-    def _as_named_now(cls, value: object) -> object:
-        """Accept "labelled" for the labelled bag, as earlier versions wrote."""
-        if not isinstance(value, list):
-            return value
-        return [Output.LABELLED_BAG if name == "labelled" else name for name in value]
-
-    def stored(self) -> dict[str, Any]:
-        """Return the options in run.json, with absolute paths and the digests of files."""
-        kept = self.model_dump(mode="json")
-        kept["digests"] = {}
+    def with_digests(self) -> "RunOptions":
+        """Return the options for run.json, with absolute paths and the digests of files."""
+        update: dict[str, Any] = {"digests": {}}
         for name in ("rig", "trajectory"):
+            named = getattr(self, name)
             # A trajectory may be a topic.
-            if kept[name] is not None and Path(kept[name]).exists():
-                file = Path(kept[name]).resolve()
-                kept[name] = str(file)
+            if named is not None and (file := Path(named).resolve()).exists():
+                update[name] = type(named)(file)
                 if file.is_file():
-                    kept["digests"][name] = xxhash.xxh3_128_hexdigest(file.read_bytes())
-        return kept
+                    update["digests"][name] = xxhash.xxh3_128_hexdigest(file.read_bytes())
+        return self.model_copy(update=update)
 
     def resumed_with(self, now: "RunOptions") -> "RunOptions":
         """Return these options with those of `now` that run.json does not contain."""

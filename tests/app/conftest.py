@@ -18,13 +18,38 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     pytest.importorskip("distributed")
     scheduler_file = tmp_path_factory.mktemp("cluster") / "scheduler.json"
     dask = Path(sys.executable).parent / "dask"
-    quiet = {"env": {**os.environ, "PYTHONPATH": str(Path.cwd())}, "stdout": subprocess.DEVNULL}
+    paths = [str(Path.cwd()), *filter(None, [os.environ.get("PYTHONPATH")])]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     commands = (
-        ["scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", scheduler_file],
-        ["worker", "--scheduler-file", scheduler_file, "--nthreads", "1", "--nworkers", "2", "--no-dashboard"],
+        [
+            "scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--no-dashboard",
+            "--scheduler-file",
+            scheduler_file,
+        ],
+        [
+            "worker",
+            "--scheduler-file",
+            scheduler_file,
+            "--nthreads",
+            "1",
+            "--nworkers",
+            "2",
+            "--no-dashboard",
+        ],
     )
     started = [
-        subprocess.Popen([str(dask), *map(str, command)], stderr=subprocess.DEVNULL, start_new_session=True, **quiet)
+        subprocess.Popen(
+            [str(dask), *map(str, command)],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         for command in commands
     ]
     try:

@@ -21,16 +21,8 @@ def test_outputs_are_those_that_are_named_or_those_too() -> None:
             parse_outputs(wrong, RUN_OUTPUTS)
 
 
-def test_what_earlier_versions_have_kept_is_understood() -> None:
-    kept = {"vertical": "/left", "outputs": ["labelled", "maps"]}
-    options = RunOptions.model_validate(kept)
-    assert options.vertical == ("/left",)
-    assert options.outputs == (Output.LABELLED_BAG, Output.MAPS)
-    assert RunOptions.model_validate({"vertical": None}).vertical == ()
-
-
 def test_a_run_that_is_resumed_has_what_was_kept_and_what_is_given_now() -> None:
     begun = RunOptions(horizontal="/up", detail="map", workers=7, quiet=True)
-    again = RunOptions.model_validate(begun.stored()).resumed_with(RunOptions(workers=3))
+    again = begun.with_digests().resumed_with(RunOptions(workers=3))
     assert (again.horizontal, again.detail) == ("/up", "map")
     assert (again.workers, again.quiet) == (3, False)

@@ -25,7 +25,7 @@ from ffmap.app.analysis.ground_truth import parse_building
 from ffmap.app.analysis.metrics_tables import format_metrics, in_one_line
 from ffmap.app.folder.atomic import write_geojson, write_json
 from ffmap.app.folder.finished_run import open_run
-from ffmap.app.folder.labels_file import LabelsWriter, stream_labels
+from ffmap.app.folder.labels_file import ScanLabels, stream_labels, write_labels
 from ffmap.app.folder.map_files import write_grid
 from ffmap.loaders.bag import make_typestore
 from ffmap.loaders.bag_path import BagPath
@@ -138,11 +138,11 @@ def make_run(folder: Path, bag_path: Path, classes: list[np.ndarray]) -> Path:
         label_scan = label.copy()
         if i == 2:
             label_scan[label == Label.FLOOR] = Label.WALL
-        labels.append((i, label, label_scan))
+        labels.append(ScanLabels(i, "/vertical", START_NS + PERIOD_NS * i, label, label_scan))
     places = [[SPEED_MPS * 0.1 * i, 0.02, 0.0] for i in range(SCANS)]
     T_map_base = np.array([transforms.from_yaw(0.0, place) for place in places])
     poses = Trajectory(START_NS + PERIOD_NS * np.arange(SCANS), T_map_base)
-    list(LabelsWriter(folder / "labels.parquet").passing(labels))
+    write_labels(folder / "labels.parquet", labels)
     write_tum(folder / "trajectory.tum", poses)
     found = {"state": "open", "width": 0.95, "height": 2.0, "confidence": 1.0, "rooms": None}
     lines = [[[1.05, 2.0], [1.95, 2.0]], [[-5.0, 0.0], [-5.0, 1.0]]]
@@ -153,7 +153,7 @@ def make_run(folder: Path, bag_path: Path, classes: list[np.ndarray]) -> Path:
     cells[60, 20:60] = Cell.OCCUPIED  # y = 2.025, x from -1 to 1
     cells[10, :10] = Cell.OCCUPIED
     write_grid(folder / "map.yaml", GridMap(cells, np.array([-2.0, -1.0]), 0.05))
-    record = {"bag": {"path": str(bag_path)}, "options": {"vertical": "/vertical"}}
+    record = {"bag": {"path": str(bag_path)}, "options": {"vertical": ["/vertical"]}}
     write_json(folder / "run.json", record)
     return folder
 
@@ -312,8 +312,8 @@ def test_ground_truth_from_another_bag(run: tuple[Path, dict[str, Any]], tmp_pat
 def test_a_run_without_labels_or_with_a_scan_skipped(tmp_path: Path) -> None:
     bag_path, classes = make_truth_bag(tmp_path / "in.bag")
     made = make_run(tmp_path / "run", bag_path, classes)
-    rows = [labels for labels, _ in stream_labels(made / "labels.parquet")]
-    list(LabelsWriter(made / "labels.parquet").passing(rows[1:]))
+    rows = list(stream_labels(made / "labels.parquet"))
+    write_labels(made / "labels.parquet", rows[1:])
     metrics = evaluate_run(open_run(made), workers=1)
     assert (metrics["scans.counted"], metrics["scans.skipped"]) == (SCANS - 1, 1)
     (made / "labels.parquet").unlink()

@@ -15,6 +15,7 @@ from ffmap.app.analysis.figures import (
     label_figures,
     read_figures,
 )
+from ffmap.app.folder.record import RunRecord
 from ffmap.loaders.errors import InputError
 
 
@@ -33,7 +34,7 @@ def test_precision_recall_and_f1_follow_from_the_papers_areas() -> None:
 
 def test_numbers_of_run_json_and_metrics_json_have_one_name(tmp_path: Path) -> None:
     times = {"total": 12.5, "labelling_per_scan": 0.01, "odometry": 2.0}
-    record = {"timings_s": times, "counts": {"doors": 4, "returns": {"wall": 7}}}
+    record = RunRecord(timings_s=times, counts={"doors": 4, "returns": {"wall": 7}})
     details = {"truth": "a.bag", "doors.by_design": {}, "floor.f1": None}
     (tmp_path / "metrics.json").write_text(json.dumps({"wall.f1": 0.97, **details}))
     assert read_figures(tmp_path, record) == {

@@ -24,7 +24,7 @@ from ffmap.app.commands import compare as compare_command
 from ffmap.app.commands import inspect as inspect_command
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.labels_file import read_labels
-from ffmap.app.folder.names import held, is_held
+from ffmap.app.folder.run_folder import held, is_held
 from ffmap.app.record.read_back import rows
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
@@ -89,8 +89,8 @@ def compared(
 
 def labels_of(run: Path) -> Labels:
     """label and label_scan of every cloud by its stamp."""
-    stamps_ns = read_tum(run / "trajectory.tum").stamp_ns.tolist()
-    return dict(zip(stamps_ns, read_labels(run / "labels.parquet").values(), strict=True))
+    rows = read_labels(run / "labels.parquet").values()
+    return {row.stamp_ns: (row.label, row.label_scan) for row in rows}
 
 
 def report(out: Path) -> dict[str, Any]:

@@ -27,15 +27,12 @@ from ffmap.algorithms.base.labels import Verdict
 from ffmap.algorithms.maps.area_graph import Segmented
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.app import cli, pipeline
-from ffmap.app.analysis.evaluation import evaluate_run
-from ffmap.app.folder import names as run_folder
-from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder import run_folder
 from ffmap.app.folder.labels_file import read_labels
-from ffmap.app.folder.names import rooms_file
+from ffmap.app.folder.names import file_names, rooms_file
 from ffmap.app.record.errors import VERDICT_COLORS
 from ffmap.app.record.read_back import rows
 from ffmap.blueprints import entities
-from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.loaders.bag_builder import PERIOD_NS, START_NS, cloud, only, sweep, write_bag
 from tests.program import (
@@ -192,7 +189,7 @@ def test_every_file_can_be_read_by_something_else(finished: Path) -> None:
     assert record["outcome"] == "complete"
     absent = {"labelled.bag", "labelled", "spool"}
     written = {path.name for path in finished.iterdir()}
-    assert written == run_folder.file_names() - absent
+    assert written == file_names() - absent
     assert {*record["files"], "metrics.json", "evaluation.rrd", "overlay.png"} == written
     meta = yaml.safe_load((finished / "map.yaml").read_text())
     with Image.open(finished / meta["image"]) as image:
@@ -221,8 +218,8 @@ def test_errors_are_a_layer_of_the_recording(finished: Path) -> None:
     # One verdict for each return, in the order of the recorded points.
     labels = read_labels(finished / "labels.parquet")
     assert colors.keys() == labels.keys()
-    for scan, (label, _) in labels.items():
-        assert len(colors[scan]) == np.count_nonzero(label != 255)
+    for scan, row in labels.items():
+        assert len(colors[scan]) == np.count_nonzero(row.label != 255)
     # The viewer takes either of what both files log once: only the layouts may be in both.
     once = [
         {chunk.entity_path for chunk in RrdReader(finished / name).stream() if chunk.is_static}
@@ -346,17 +343,6 @@ def test_errors_of_the_system_are_one_line(
         cli.main()
     assert stopped.value.code == 2
     assert capsys.readouterr().err.startswith(f"ffmap: {line}")
-
-
-def test_evaluation_writes_nothing_to_a_run_that_took_the_place_of_its_own(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    copy = shutil.copytree(finished, tmp_path / "run")
-    run, before = open_run(copy), (copy / "metrics.json").read_bytes()
-    (copy / "run.json").write_text(json.dumps({**run.record, "recording_id": "another"}))
-    with pytest.raises(InputError, match="another run has replaced"):
-        evaluate_run(run, None, 1)
-    assert (copy / "metrics.json").read_bytes() == before
 
 
 def test_two_runs_never_write_into_one_folder(

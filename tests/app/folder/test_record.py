@@ -9,8 +9,17 @@ import numpy as np
 import pytest
 
 from ffmap.app.analysis.evaluation import read_doors
-from ffmap.app.folder.finished_run import FinishedRun, open_run
-from ffmap.app.folder.record import mount_corrections
+from ffmap.app.folder.finished_run import open_run
+from ffmap.app.folder.record import (
+    BagEntry,
+    LidarEntry,
+    MountEntry,
+    RunRecord,
+    read_record,
+    write_record,
+)
+from ffmap.app.setup.options import RunOptions
+from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features
 
@@ -19,14 +28,12 @@ from ffmap.loaders.geojson import read_features
     ("record", "name"),
     [
         ({"bag": {"path": 5}}, "bag.path"),
-        ({"bag": []}, "bag"),
-        ({"options": {"rig": [1]}}, "options.rig"),
         ({"options": {"time_from": "never"}}, "options.time_from"),
         ({"rig": {"vertical": "x"}}, "rig.vertical"),
         ({"rig": {"vertical_2": {"frame": "x"}}}, "rig.vertical_2.topic"),
-        ({"mounts": {"/a": {"clock_ns": "x"}}}, "mounts./a.clock_ns"),
+        ({"mounts": {"/a": {"T_base_sensor": [[1.0]]}}}, "mounts./a.T_base_sensor.*"),
+        ({"map_origin": [1.0, "x", 0.0]}, "map_origin.1"),
         ({"timings_s": {"total": "long"}}, "timings_s.total"),
-        ({"statistics": {"points": 3}}, "statistics.points"),
         ({"counts": None, "settings": [3]}, "settings"),
         ({"recording_id": {}}, "recording_id"),
     ],
@@ -39,41 +46,30 @@ def test_a_value_of_another_kind_in_run_json(
         open_run(tmp_path)
 
 
-def test_what_was_labelled_and_where_it_sits_is_told_of_one_lidar_and_of_several(
-    tmp_path: Path,
-) -> None:
-    def found(**record: Any) -> FinishedRun:
-        (tmp_path / "run.json").write_text(json.dumps(record))
-        return open_run(tmp_path)
-
-    mount = {"used": "refined", "T_base_sensor": np.eye(4).tolist(), "clock_ns": 7}
-    rig = {role: {"topic": f"/{role}"} for role in ("horizontal", "vertical")}
-    one = found(rig=rig, mount=mount, options={"vertical": "/vertical"})
-    assert one.topics == one.options.vertical == ("/vertical",)
-    assert [(m.topic, m.clock_ns) for m in mount_corrections(one.record)] == [("/vertical", 7)]
-    # The lidar of the poses is labelled too: the mount that was looked into is the other's.
-    rig = {
-        "horizontal": {"topic": "/a"},
-        "vertical": {"topic": "/a"},
-        "vertical_2": {"topic": "/b"},
-    }
-    upright = found(rig=rig, mount=mount, options={"vertical": None})
-    assert (upright.topics, upright.options.vertical) == (("/a", "/b"), ())
-    assert [m.topic for m in mount_corrections(upright.record)] == ["/b"]
-    rig["horizontal"] = {"topic": "/c"}
-    several = found(
-        rig=rig,
-        mounts={"/a": {"used": "as given"}, "/b": mount},
-        options={"vertical": ["/b", "/a"]},
+def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
+    T = tuple(map(tuple, np.eye(4).tolist()))
+    written = RunRecord(
+        bag=BagEntry.of(BagPath((tmp_path / "a.bag", tmp_path / "b.bag")), "ros1"),
+        rig={role: LidarEntry(topic=f"/{role}") for role in ("vertical", "vertical_2")},
+        mounts={
+            "/vertical": MountEntry(rms_as_given_m=0.01),
+            "/vertical_2": MountEntry(used="refined", T_base_sensor=T, clock_ns=7),
+        },
+        options=RunOptions(rig=tmp_path / "rig.toml", vertical=("/left",)),
+        statistics={"points_in_lines": {"mean": float("nan")}},
     )
-    assert several.options.vertical == ("/b", "/a")
-    assert [m.topic for m in mount_corrections(several.record)] == ["/b"]
-    assert found().topics == found(rig={"vertical": None}).topics == ()
+    write_record(tmp_path, written)
+    read = read_record(tmp_path)
+    assert read.statistics["points_in_lines"]["mean"] is None
+    assert read.model_copy(update={"statistics": written.statistics}) == written
+    assert read.topics == ("/vertical", "/vertical_2")
+    assert [mount.topic for mount in read.mount_corrections] == ["/vertical_2"]
+    assert read.bag.bag_path == BagPath((tmp_path / "a.bag", tmp_path / "b.bag")).resolve()
 
 
 def test_a_record_of_another_version_may_hold_more_and_less(tmp_path: Path) -> None:
-    (tmp_path / "run.json").write_text(json.dumps({"bag": None, "new": [1], "options": {"new": 1}}))
-    assert open_run(tmp_path).part("options") == {"new": 1}
+    (tmp_path / "run.json").write_text(json.dumps({"new": [1], "options": {"new": 1}}))
+    assert open_run(tmp_path).bag_path is None
 
 
 LINE = {"type": "LineString", "coordinates": [[0, 0], [1, 2]]}

@@ -31,8 +31,8 @@ def run(folder: Path, out: str, *words: object) -> "subprocess.CompletedProcess[
 
 
 def mount_of(run: Path) -> dict[str, object]:
-    found: dict[str, object] = json.loads((run / "run.json").read_text())["mount"]
-    return found
+    (found,) = json.loads((run / "run.json").read_text())["mounts"].values()
+    return dict(found)
 
 
 @pytest.fixture(scope="module")
@@ -73,16 +73,16 @@ def test_a_mount_that_is_right_stays(folder: Path) -> None:
     mount = mount_of(folder / "right")
     assert mount["used"] == "as given"
     assert "T_base_sensor" not in mount
-    assert "extrinsics of the vertical lidar" not in done.stdout + done.stderr
+    assert "the extrinsics of" not in done.stdout + done.stderr
 
 
 def test_as_given_it_is_not_looked_into(folder: Path) -> None:
     run(folder, "given", "--rig", folder / "rig.toml", "--mount", "as-given", "--no-evaluate")
-    assert "mount" not in json.loads((folder / "given" / "run.json").read_text())
+    assert not json.loads((folder / "given" / "run.json").read_text())["mounts"]
 
 
 def test_a_mount_that_is_far_off_ends_the_run_before_the_odometry(folder: Path) -> None:
-    """Degrees for radians, say: the line names the transform, and what would fit."""
+    """Degrees for radians, say: the line names the transform."""
     turned = transforms.make_transform(Rotation.from_euler("z", 20, degrees=True))
     write_rig(folder / "far.toml", rig_of(folder / "drive.bag"), turned)
     words = ("--out", folder / "far", "--rig", folder / "far.toml", *SHORT)
@@ -90,7 +90,6 @@ def test_a_mount_that_is_far_off_ends_the_run_before_the_odometry(folder: Path) 
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if line.startswith("ffmap: ")]
     assert "the transform base_link -> vertical_velodyne is wrong" in line
-    assert "roll, pitch, yaw = 90, 0, 90 deg would fit" in line
     assert "--from-motion" in line
     assert "odometry" not in json.loads((folder / "far" / "run.json").read_text())["timings_s"]
 

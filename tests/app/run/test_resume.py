@@ -13,7 +13,7 @@ from tests.program import ffmap_here, kill_once, with_cache
 OPTIONS = ("--no-evaluate", "--outputs", "labels,maps,recording")
 LEFT_BY = {
     "odometry": "cache/odometry/*.part",
-    "scans": "killed/spool/00000.arrow",
+    "scans": "killed/spool/000000.arrow",
     "final": "killed/spool/*.final.arrow",
 }
 """A file that shows that a stage is under way."""

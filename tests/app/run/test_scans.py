@@ -16,15 +16,12 @@ from ffmap.app.record.read_back import rows
 from ffmap.app.run import blocks, final
 from ffmap.app.run.arrays import map_arrays, pack, pack_rows, unpack, unpack_rows, write_arrays
 from ffmap.app.run.blocks import Block, LabelledScan, label_block
-from ffmap.app.run.scans import SCANS_PER_BLOCK, block_bounds
-from ffmap.app.setup.inputs import Inputs, check_failed, find_inputs
+from ffmap.app.setup.inputs import Inputs, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Detail
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
-from ffmap.loaders.errors import InputError
-from ffmap.loaders.scans import SkippedScan
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from ffmap.loaders.truth import read_truth
 from tests.corridor import labelled
@@ -59,14 +56,6 @@ def labels_of(block: Block) -> dict[int, np.ndarray]:
     return {scan.scan: scan.label_cloud for scan in found}
 
 
-@pytest.mark.parametrize("count", [0, 1, 4, 5, 20, 24, 25, 599])
-def test_blocks_contain_every_scan_once_and_the_first_few(count: int) -> None:
-    blocks = block_bounds(count)
-    assert [scan for first, end in blocks for scan in range(first, end)] == list(range(count))
-    assert all(0 < end - first <= SCANS_PER_BLOCK for first, end in blocks)
-    assert all(end < SCANS_PER_BLOCK // 2 for _, end in blocks[:1])
-
-
 def test_a_worker_reads_the_bag_of_its_run_where_another_bag_was(tmp_path: Path) -> None:
     found = []
     for run in ("first", "second"):
@@ -85,7 +74,7 @@ def test_a_worker_reads_the_halo_of_its_run_where_another_was(tmp_path: Path) ->
     for run, key in (("first", 3), ("second", 7)):
         write_arrays(file, pack(Halo(np.array([key]), np.array([Label.WALL], np.uint8), 0.1)))
         for _ in range(2):
-            assert final._halo(file, run).keys.tolist() == [key]
+            assert final._read_halo(file, run).keys.tolist() == [key]
 
 
 def failing(function: Callable[..., Any], calls: set[int], error: Exception) -> Callable[..., Any]:
@@ -129,17 +118,6 @@ def test_a_scan_that_fails_midway_leaves_nothing_in_its_block(
     monkeypatch.setattr(blocks, "label_scan", failing(blocks.label_scan, {1}, MemoryError()))
     with pytest.raises(MemoryError):
         label_block(sound)
-
-
-def test_where_more_than_a_fifth_fail_the_commonest_reason_is_named() -> None:
-    failed = [
-        SkippedScan(i, 0, "ValueError: no wall" if i else "IndexError: 3", "trace")
-        for i in range(3)
-    ]
-    check_failed(BagPath((Path("a.bag"),)), failed, 15, "labelling")
-    words = r"a.bag: labelling failed for 3 of 14 scans.* 2 times with ValueError: no wall"
-    with pytest.raises(InputError, match=words):
-        check_failed(BagPath((Path("a.bag"),)), failed, 14, "labelling")
 
 
 @pytest.mark.parametrize(

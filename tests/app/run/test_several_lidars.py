@@ -10,12 +10,11 @@ import pytest
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.app.folder.finished_run import open_run
-from ffmap.app.folder.record import mount_corrections
+from ffmap.app.folder.record import RunRecord
 from ffmap.app.record.read_back import readable, rows
 from ffmap.app.run.arrays import map_arrays, unpack_rows
 from ffmap.app.run.blocks import LabelledScan, label_block
 from ffmap.app.run.extrinsics import check_extrinsics
-from ffmap.app.run.scans import block_bounds
 from ffmap.app.setup.inputs import find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.settings import load_settings
@@ -72,9 +71,11 @@ def test_all_that_lie_are_labelled_and_vote_together(folder: Path) -> None:
     assert isinstance(counts, dict)
     assert {role: lidar["topic"] for role, lidar in rig.items()} == {
         "horizontal": UPRIGHT,
-        **dict(zip(("vertical", "vertical_2"), open_run(folder / "run").topics, strict=True)),
+        **dict(
+            zip(("vertical", "vertical_2"), open_run(folder / "run").record.topics, strict=True)
+        ),
     }
-    assert set(open_run(folder / "run").topics) == {LEFT, RIGHT}
+    assert set(open_run(folder / "run").record.topics) == {LEFT, RIGHT}
     driven = clouds_of(folder / "drive")
     assert counts["clouds"] == driven[LEFT] + driven[RIGHT]
     assert counts["scans"] == sum(counts["scans_by_topic"].values()) > 0.9 * counts["clouds"]
@@ -91,7 +92,7 @@ def test_all_that_lie_are_labelled_and_vote_together(folder: Path) -> None:
 
 def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None:
     inputs = find_inputs(folder / "drive", RunOptions())
-    topics = open_run(folder / "run").topics
+    topics = open_run(folder / "run").record.topics
     with readable(folder / "run" / "recording.rrd") as recording:
         said = {row.scan: row.values for row in rows(recording.path, "/scan/lidar", "place")}
         drawn = {
@@ -109,12 +110,11 @@ def labels_of(inputs_of: RunOptions, folder: Path, name: str) -> dict[tuple[str,
     """The scans' own labels by topic and stamp, at the true poses."""
     inputs = find_inputs(folder / "drive", inputs_of)
     found: dict[tuple[str, int], UInt8Array] = {}
-    for first, end in block_bounds(len(inputs.scans)):
-        block = block_of(inputs, folder / f"{name}-{first}", first=first, count=end - first)
-        label_block(block)
-        for scan in unpack_rows(LabelledScan, map_arrays(block.labelled)):
-            topic = inputs.verticals[inputs.scans.lidar[scan.scan]].lidar.topic
-            found[topic, scan.stamp_ns] = scan.label_cloud
+    block = block_of(inputs, folder / name, count=len(inputs.scans))
+    label_block(block)
+    for scan in unpack_rows(LabelledScan, map_arrays(block.labelled)):
+        topic = inputs.verticals[inputs.scans.lidar[scan.scan]].lidar.topic
+        found[topic, scan.stamp_ns] = scan.label_cloud
     return found
 
 
@@ -161,12 +161,9 @@ def test_only_the_mount_that_is_off_is_refined(folder: Path) -> None:
     off = inputs.with_mounts([MountCorrection(LEFT, tuple(map(tuple, T_off.tolist())), 0)])
     mounts = {mount.topic: mount for mount in check_extrinsics(off, truth.trajectory, settings)}
     assert {topic: mount.is_off for topic, mount in mounts.items()} == {LEFT: True, RIGHT: False}
-    assert f"the extrinsics of the vertical lidar {LEFT} " in mounts[LEFT].warning
-    record = {
-        "rig": {role: {"topic": sensor.lidar.topic} for role, sensor in inputs.by_role.items()},
-        "mounts": {topic: mount.record for topic, mount in mounts.items()},
-    }
-    (correction,) = mount_corrections(record)
+    assert f"the extrinsics of {LEFT} " in mounts[LEFT].warning("")
+    entries = {topic: mount.entry for topic, mount in mounts.items()}
+    (correction,) = RunRecord(mounts=entries).mount_corrections
     assert correction.topic == LEFT
     np.testing.assert_allclose(correction.T_base_sensor, mounts[LEFT].found.T_base_sensor)
 
@@ -191,7 +188,7 @@ def test_two_upright_lidars_that_open_wide_are_labelled_both(tmp_path: Path) -> 
     assert [driven["/truth/classes"], driven["/truth/classes_2"]] == [
         driven[topic] for topic in topics
     ]
-    assert sorted(open_run(tmp_path / "run").topics) == topics
+    assert sorted(open_run(tmp_path / "run").record.topics) == topics
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert metrics["scans.without_truth"] == 0
     assert metrics["wall.f1"] > 0.95
