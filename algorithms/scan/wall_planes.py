@@ -117,8 +117,7 @@ def grow_wall_planes(
     normal, offset_m, rms_m, length_m = fits[:, :2], fits[:, 2], fits[:, 3], fits[:, 5] - fits[:, 4]
     bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, count)
     top_m = _per_plane(np.maximum, structures.top_m[candidates.structure], plane, count)
-    too_few, too_short = lines < lines_min, length_m < LENGTH_MIN_M
-    fails = [too_few, too_short, rms_m > settings.similarity_m]
+    fails = [lines < lines_min, length_m < LENGTH_MIN_M, rms_m > settings.similarity_m]
     reasons = [Membership.FEW_LINES, Membership.SHORT, Membership.ROUGH]
     verdict = np.select(fails, reasons, Membership.IN_PLANE)
     for k in np.flatnonzero((verdict == Membership.IN_PLANE) & (bottom_m >= BOTTOM_MAX_M)):
@@ -129,19 +128,17 @@ def grow_wall_planes(
             verdict[k] = Membership.DUCT
 
     # The walls, numbered without the others; none, -1, is the last row of the appended arrays.
-    is_wall, is_refused = verdict == Membership.IN_PLANE, candidates.reach == Reach.LOW
+    is_wall = verdict == Membership.IN_PLANE
     membership = np.append(verdict, Membership.ALONE)[plane]
-    membership = np.where(is_refused, Membership.REFUSED, membership)
+    membership[candidates.reach == Reach.LOW] = Membership.REFUSED
     plane = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)[plane].astype(np.int32)
     before_m = normal @ returns.origin_level[:2] - offset_m
     towards_sensor = np.where(before_m > 0, 1.0, -1.0)[is_wall]
     normal, offset_m = normal[is_wall] * towards_sensor[:, None], offset_m[is_wall] * towards_sensor
-    along = np.column_stack([-normal[:, 1], normal[:, 0]])
-    extents = _extents(returns, samples, candidates, plane, normal)
     return WallPlanes(
         normal=normal,
         offset_m=offset_m,
-        ends=(normal * offset_m[:, None])[:, None] + along[:, None] * extents[:, :, None],
+        ends=_ends(returns, samples, candidates, plane, normal, offset_m),
         bottom_m=bottom_m[is_wall],
         top_m=top_m[is_wall],
         rms_m=rms_m[is_wall],
@@ -379,7 +376,8 @@ def _structures_behind(
             if structures.line[s] != structures.line[u]:
                 break
             last = structures.last[s]
-            off_m = np.abs(xy[last - 9 : last + 1] @ fit[:2] - fit[2])
+            first = max(structures.first[s], last - 9)
+            off_m = np.abs(xy[first : last + 1] @ fit[:2] - fit[2])
             between = rho[last + 1 : structures.first[u]]
             hidden = between.min(initial=np.inf) < rho[last] - OVERHANG_M
             if off_m.max() < 2.0 * settings.similarity_m and hidden:
@@ -389,14 +387,15 @@ def _structures_behind(
 
 
 @numba.njit(cache=True, nogil=True)
-def _extents(
+def _ends(
     returns: Returns,
     samples: IntArray,
     candidates: WallCandidates,
     plane: IntArray,
     normal: FloatArray,
+    offset_m: FloatArray,
 ) -> FloatArray:
-    """(K, 2) the least and the largest place along each plane of its candidates' upper samples."""
+    """(K, 2, 2) the outermost places along each plane of its candidates' upper samples."""
     points, extents = returns.points_level, np.empty((len(normal), 2))
     extents[:, 0], extents[:, 1] = np.inf, -np.inf
     for c in range(len(plane)):
@@ -406,7 +405,12 @@ def _extents(
             for i in samples[candidates.line[c], upper]:
                 u = normal[k, 0] * points[i, 1] - normal[k, 1] * points[i, 0]
                 extents[k, 0], extents[k, 1] = min(extents[k, 0], u), max(extents[k, 1], u)
-    return extents
+    ends = np.empty((len(normal), 2, 2))
+    for k in range(len(normal)):
+        for end in range(2):
+            ends[k, end, 0] = normal[k, 0] * offset_m[k] - normal[k, 1] * extents[k, end]
+            ends[k, end, 1] = normal[k, 1] * offset_m[k] + normal[k, 0] * extents[k, end]
+    return ends
 
 
 def _per_plane(reduce: np.ufunc, values: FloatArray, plane: IntArray, count: int) -> FloatArray:

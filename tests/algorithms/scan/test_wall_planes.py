@@ -229,6 +229,28 @@ def test_a_duct_below_the_ceiling_is_no_wall() -> None:
     assert numbered.candidate_plane.tolist() == [-1] * 8 + [0] * 8
 
 
+@pytest.mark.parametrize("seen", [80, 5])
+def test_a_wall_behind_a_valance_is_no_duct_where_it_is_seen_below(seen: int) -> None:
+    """Twelve lines: some samples of the wall, a board 0.4 m before it, the wall's upper end."""
+    part, top = np.arange(SAMPLES), slice(150, SAMPLES)
+    y, z = np.where((part >= seen) & (part < top.start), 1.6, 2.0), np.linspace(0.1, 2.2, SAMPLES)
+    z[top] = np.linspace(DUCT_M[0], DUCT_M[1], SAMPLES - top.start)
+    xs = np.linspace(-0.8, 0.8, 12)
+    points = np.concatenate([np.column_stack([np.full(SAMPLES, x), y, z]) for x in xs])
+    heights_m = np.array([[z[0], z[seen - 1]], DUCT_M])
+    structures = structures_of(
+        24,
+        2 * np.arange(12).repeat(2),
+        np.tile([0, top.start], 12),
+        np.tile([seen - 1, SAMPLES - 1], 12),
+        np.tile(heights_m, (12, 1)),
+    )
+    returns = Returns(points.astype(np.float32), points[:, 2].astype(np.float32), ORIGIN)
+    samples = np.arange(12 * SAMPLES, dtype=np.int32).reshape(12, SAMPLES).repeat(2, axis=0)
+    found = grow_wall_planes(returns, samples, structures, (CEILING,), np.ones(24, bool), SETTINGS)
+    np.testing.assert_allclose(found.offset_m, [-2.0], atol=1e-3)
+
+
 def test_the_evidence_shows_why_each_candidate_is_in_no_plane() -> None:
     # One too low (2), one 30 cm before the wall alone (12), two far away by themselves (13, 14).
     far = wall([4.0, -3.0], [4.2, -3.0], 2)
