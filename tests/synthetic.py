@@ -61,8 +61,7 @@ def trajectory(scan_count: int) -> Trajectory:
 
 def level(scan: Scan, trajectory: Trajectory) -> LevelledScan:
     """The smoothed scan in its place."""
-    ranges = smooth_ranges(scan, SmoothingSettings())
-    settings = RearrangementSettings(level_max_deg=2.0)
+    ranges, settings = smooth_ranges(scan, SmoothingSettings()), RearrangementSettings()
     return place_and_level(scan, ranges, trajectory, T_BASE_SENSOR, 0.0, np.zeros(2), settings)
 
 

@@ -232,18 +232,9 @@ def _closed(part: GridMap, doorways: FloatArray, windows: FloatArray) -> BoolArr
 
 
 def _to_nearest_obstacle(free: BoolArray) -> tuple[FloatArray, IntArray]:
-    """float32 distance (cells) of each cell to the nearest obstacle, and (2, …) that cell.
-
-    SciPy's own distances are float64 with several copies, and take longer than the transform.
-    """
-    nearest: IntArray = ndimage.distance_transform_edt(
-        free, return_distances=False, return_indices=True
-    )
-    squared = np.zeros(free.shape, np.float32)
-    row, column = np.ogrid[: free.shape[0], : free.shape[1]]
-    for site, place in zip(nearest, (row, column), strict=True):
-        squared += np.square(site - place, dtype=np.float32)
-    return np.sqrt(squared, out=squared), nearest
+    """float32 distance (cells) of each cell to the nearest obstacle, and (2, …) that cell."""
+    distance, nearest = ndimage.distance_transform_edt(free, return_indices=True)
+    return distance.astype(np.float32), nearest
 
 
 def _furniture(obstacles: BoolArray, cell_m: float, furniture_max_m: float) -> BoolArray:

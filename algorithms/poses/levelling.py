@@ -25,6 +25,9 @@ _FLOOR_PATCHES_MIN = 30
 _WALL_PATCHES_MIN = 200
 _WALL_LEANS_DEG = (8.0, 4.0, 2.0)
 """Maximum inclination of walls against the upright axis, from one estimate to the next."""
+_TURN_MAX_DEG = 1.0
+"""Maximum angle by which a scan is turned to give its floor the slope of the map's: a floor at a
+larger angle is a ramp."""
 _FLOOR_WEIGHT = 0.02
 """Of the floor's normal: it decides only the inclination along walls that are all parallel."""
 
@@ -162,7 +165,7 @@ def place_and_level(
     """Put every smoothed return at its firing's pose, and level the scan by the map's floor.
 
     T_base_sensor: (4, 4). base_height_m: height of the base above the floor. floor_slope: (2,) of
-    the map's floor, see `Level`. A floor at an angle over `level_max_deg` to the map's is a ramp.
+    the map's floor, see `Level`.
     """
     placed = place_scan(ranges.of(scan), trajectory, T_base_sensor, base_height_m)
     x, y, level_m = placed.T_map_level[:3, 3]
@@ -171,9 +174,7 @@ def place_and_level(
     if len(floor.pieces):
         # At the foot or top of a ramp, the floor has no single slope.
         return LevelledScan(placed, floor, ranges)
-    levelled = turn_to_floor(
-        placed, floor.height_m, floor.slope, wanted, rearrangement.level_max_deg
-    )
+    levelled = turn_to_floor(placed, floor.height_m, floor.slope, wanted)
     if levelled is not placed:
         floor = replace(floor, slope=wanted)
     return LevelledScan(levelled, floor, ranges)
@@ -184,7 +185,6 @@ def turn_to_floor(
     floor_height_m: float,
     floor_slope: FloatArray,
     wanted_slope: FloatArray,
-    max_deg: float,
 ) -> PlacedScan:
     """Turn a scan about the floor below it until its floor slopes as the map's does.
 
@@ -196,7 +196,7 @@ def turn_to_floor(
     """
     own = np.array([*-floor_slope, 1.0]) / np.sqrt(1.0 + np.sum(floor_slope**2))
     wanted = np.array([*-wanted_slope, 1.0]) / np.sqrt(1.0 + np.sum(wanted_slope**2))
-    if own @ wanted < np.cos(np.radians(max_deg)):
+    if own @ wanted < np.cos(np.radians(_TURN_MAX_DEG)):
         return placed
     turn, _ = Rotation.align_vectors(wanted, own)
     pivot = np.array([0.0, 0.0, floor_height_m])

@@ -45,7 +45,7 @@ def find_ceilings(
     stride = max(1, len(rows) // _RETURNS)
     points = points_level[rows[::stride]].astype(np.float64)
     # Heights above planes parallel to the floor; above a level one too, where the floor slopes.
-    slopes = [*floor.slopes]
+    slopes = [*(floor.pieces[:, 1:] if len(floor.pieces) else floor.slope[None])]
     if all(np.hypot(*slope) >= 0.01 for slope in slopes):
         slopes.append(np.zeros(2))
     parallel = [points[:, 2] - floor.height_m - points[:, :2] @ slope for slope in slopes]

@@ -47,11 +47,6 @@ class Floor(HorizontalPlane):
         """(2, 3) its pieces, or twice its plane."""
         return self.pieces if len(self.pieces) else np.array([(self.height_m, *self.slope)] * 2)
 
-    @property
-    def slopes(self) -> FloatArray:
-        """(1 or 2, 2) slope of its plane, or of each piece."""
-        return self.pieces[:, 1:] if len(self.pieces) else self.slope[None]
-
     def height_at(self, points_level: FloatArray) -> FloatArray:
         """Height (m,) of the floor at the x and y of points (m, 2 or more)."""
         heights = self.both_pieces[:, :1] + self.both_pieces[:, 1:] @ points_level[:, :2].T

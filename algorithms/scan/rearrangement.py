@@ -40,13 +40,6 @@ class RearrangementSettings(StepSettings):
     ceiling_height_min_m: float = Field(
         2.1, gt=0, description="Minimum height (m) of a ceiling above the floor. III.A."
     )
-    level_max_deg: float = Field(
-        1.0,
-        ge=0,
-        le=10,
-        description="Maximum angle (degrees) by which a scan is turned to give its floor the slope "
-        "of the map's; 0 turns none.",
-    )
 
 
 @dataclass(frozen=True)

@@ -20,15 +20,16 @@ def tilted(*angles_deg: float) -> np.ndarray:
 
 def test_a_scan_is_turned_to_its_floor() -> None:
     _, placed, _, _ = labelled()
-    tilt = Rotation.from_euler("xy", [0.8, -0.6], degrees=True)
+    tilt = Rotation.from_euler("xy", [0.6, -0.5], degrees=True)
     points = (tilt.apply(placed.points_level) + np.array([0.0, 0.0, 0.05])).astype(np.float32)
     floor = find_floor(points, METHOD.rearrangement)
     assert floor.height_m == pytest.approx(0.05, abs=0.01)
     given = replace(placed, points_level=points), floor.height_m, floor.slope, np.zeros(2)
-    level = turn_to_floor(*given, max_deg=2.0)
+    level = turn_to_floor(*given)
     again = find_floor(level.points_level, METHOD.rearrangement)
     assert np.hypot(*again.slope) < 0.002
-    assert turn_to_floor(*given, max_deg=0.1).points_level is points
+    ramp = placed, 0.0, np.array([0.03, 0.0]), np.zeros(2)
+    assert turn_to_floor(*ramp) is placed
 
 
 def test_the_map_is_levelled_by_floor_and_walls() -> None:
