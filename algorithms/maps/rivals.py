@@ -14,7 +14,6 @@ from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.free_space import Draft
 from ffmap.algorithms.maps.furniture_free import draft_cells
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.labelling import ScanLabelling
 
 _BELOW_CEILING_M = 0.5
@@ -35,15 +34,14 @@ class Rival(StrEnum):
 
 
 def rival_returns(
-    points_level: FloatArray, points_map: FloatArray, labelling: ScanLabelling
+    points_map: FloatArray, labelling: ScanLabelling
 ) -> tuple[FloatArray, UInt8Array]:
     """Choose the returns (n, 3) of a scan that occupy cells; without a ceiling, it has no slices.
 
     Returns their places (k, 3) in the map, at height 0, and the rivals (k,) in which they count, as
     places in `Rival`.
     """
-    below_m = below_ceiling(points_level, labelling.ceiling_planes)
-    structures, samples = labelling.structures, labelling.lines.samples
+    below_m, structures, samples = labelling.below_m, labelling.structures, labelling.lines.samples
     rows: list[IntArray] = [
         np.flatnonzero((below_m > _BELOW_CEILING_M) & (below_m < _BELOW_CEILING_M + _SLICE_M)),
         # Halfway up a return is as far from the floor as from the ceiling.

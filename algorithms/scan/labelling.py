@@ -62,7 +62,7 @@ class ScanLabelling:
 
     label: (n,) uint8, see `Label`, one for each return of the scan.
     plane: (n,) int16, the wall plane of a wall or door return, -1 for others.
-    height_m: (n,) float32, above the floor.
+    height_m: (n,) float32, above the floor. below_m: (n,) float32, see `below_ceiling`.
     ceilings: the planes found above, largest first; empty where none is in view.
     settings: of the steps that made it.
     """
@@ -70,6 +70,7 @@ class ScanLabelling:
     label: UInt8Array
     plane: IntArray
     height_m: FloatArray
+    below_m: FloatArray
     floor: Floor
     ceilings: tuple[HorizontalPlane, ...]
     lines: PointLines
@@ -137,6 +138,7 @@ def label_scan(
         label,
         plane,
         height_m,
+        below_m,
         floor,
         ceilings,
         lines,

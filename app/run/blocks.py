@@ -284,7 +284,7 @@ def _label(
     level = _with_loops_closed(level, scan, block)
     labelled = LabelledScan.of(number, scan, level.placed, labelling)
     points_map = labelled.points_map
-    rivals = rival_returns(level.placed.points_level, points_map, labelling)
+    rivals = rival_returns(points_map, labelling)
     intensity = NO_INTENSITY if scan.intensity is None else scan.intensity
     features = extract(cloud, level.placed, labelling, points_map, intensity)
     features = replace(features, scan=np.array([number]))

@@ -1,5 +1,7 @@
 """The paper's other maps of a furnished room that is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,7 +35,7 @@ def counted(scans: list[tuple[PlacedScan, ScanLabelling]]) -> VoxelVotes:
     table = VoxelTable(CELL_M, len(Rival))
     for placed, labelling in scans:
         points_map = placed.to_map(placed.points_level)
-        table.add(*rival_returns(placed.points_level, points_map, labelling))
+        table.add(*rival_returns(points_map, labelling))
     return table.votes()
 
 
@@ -77,7 +79,7 @@ def test_a_slice_under_the_ceiling_does_not_see_the_door(scans):
 
 def test_without_a_ceiling_there_is_no_slice(scans):
     placed, labelling = scans[0]
-    bare = ScanLabelling(**{**labelling.__dict__, "ceilings": ()})
+    bare = replace(labelling, below_m=np.full_like(labelling.below_m, np.inf))
     votes = counted([(placed, bare)])
     assert votes.counts[:, :2].sum() == 0
     assert votes.counts[:, 2:].sum() > 0
