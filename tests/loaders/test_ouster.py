@@ -228,8 +228,7 @@ def test_without_the_decoder_the_error_names_its_installation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known: str
 ) -> None:
     monkeypatch.setattr(ouster, "version", lambda name: known)
-    with (
-        open_bag(write_bag(tmp_path / "a.bag", entries_of(turns(2), metadata(SINGLE)))) as bag,
-        pytest.raises(InputError, match=r"lidar_packets.*pip install --no-deps 'ouster-sdk"),
-    ):
+    path = write_bag(tmp_path / "a.bag", entries_of(turns(2), metadata(SINGLE)))
+    words = r"lidar_packets.*pip install --no-deps 'ouster-sdk"
+    with open_bag(path) as bag, pytest.raises(InputError, match=words):
         find_rig(bag)

@@ -55,9 +55,8 @@ def test_truth(tmp_path):
 def test_no_truth_and_truth_in_part(tmp_path):
     with open_bag(write_bag(tmp_path / "a.bag", clouds("/a", 2))) as bag:
         assert read_truth(bag) is None
-    with open_bag(
-        write_bag(tmp_path / "b.bag", [("/truth/pose", START_NS, odometry(START_NS, [0, 0, 0]))])
-    ) as bag:
+    pose = ("/truth/pose", START_NS, odometry(START_NS, [0, 0, 0]))
+    with open_bag(write_bag(tmp_path / "b.bag", [pose])) as bag:
         truth = read_truth(bag)
         assert len(truth.trajectory) == 1
         assert (truth.classes, truth.building) == ((), None)
@@ -65,10 +64,8 @@ def test_no_truth_and_truth_in_part(tmp_path):
 
 @pytest.mark.parametrize("building", ["{", "[]", '{"type": "Point"}'])
 def test_a_damaged_building(tmp_path, building):
-    with (
-        open_bag(truth_bag(tmp_path / "a.bag", building)) as bag,
-        pytest.raises(InputError, match="/truth/building"),
-    ):
+    path = truth_bag(tmp_path / "a.bag", building)
+    with open_bag(path) as bag, pytest.raises(InputError, match="/truth/building"):
         read_truth(bag)
 
 
