@@ -1,17 +1,21 @@
-"""The sensors whose messages are read, a module for each maker.
-
-To add one, add a module with a subclass of `Sensor`.
-"""
-
-from importlib import import_module
-from pkgutil import iter_modules
+"""The sensors whose messages are read, a module for each maker."""
 
 from ffmap.loaders.bag import Bag, Topic
+from ffmap.loaders.sensors.livox import Livox
+from ffmap.loaders.sensors.ouster import Ouster
+from ffmap.loaders.sensors.ros import PointCloud2
 from ffmap.loaders.sensors.sensor import Sensor
+from ffmap.loaders.sensors.unread import CompressedPointCloud2, UnreadPackets
+from ffmap.loaders.sensors.velodyne import Velodyne
 
-for _module in iter_modules(__path__):
-    import_module(f"{__name__}.{_module.name}")
-SENSORS = tuple(kind() for kind in Sensor.__subclasses__())
+SENSORS: tuple[Sensor, ...] = (
+    PointCloud2(),
+    Livox(),
+    Ouster(),
+    Velodyne(),
+    CompressedPointCloud2(),
+    UnreadPackets(),
+)
 *_MOST, _LAST = sorted(sensor.messages for sensor in SENSORS if sensor.messages)
 CLOUDS_WANTED = f"{', '.join(_MOST)} or {_LAST}"
 """The messages that can be read, for error messages."""

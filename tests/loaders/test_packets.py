@@ -9,7 +9,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ffmap.app.commands.info import describe
-from ffmap.loaders.sensors.packets import UNREAD_TYPES
+from ffmap.loaders.sensors.unread import UNREAD_TYPES
 from tests.loaders.bag_builder import CLOUD, PERIOD_NS, START_NS, cloud, sweep
 from tests.program import ffmap_here
 
