@@ -38,7 +38,7 @@ def simulate(
 
         write_bag(out, settings, report)
     if not quiet:
-        drive = f"{settings.duration_s:.0f} s in building {settings.building!r}"
+        drive = f"{settings.duration_s:g} s in building {settings.building!r}"
         typer.echo(f"{out}: {drive}, seed {settings.seed}; run 'ffmap run {out}'")
 
 

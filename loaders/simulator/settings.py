@@ -60,7 +60,7 @@ class SimulationSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    building: Building = Field("office", description="preset of the building (see PRESETS)")
+    building: Building = Field("office", description="kind of building")
     seed: int = Field(0, ge=0, description="seed of every random choice")
     duration_s: float = Field(60.0, gt=0.3, le=3600, description="duration (s); 1 s at rest first")
     format: Container = Field("bag", description="ROS 1 bag, or ROS 2 folder (mcap, db3)")
