@@ -65,15 +65,15 @@ def receiving(path: Path) -> Iterator[Receiver]:
         receiver.end()
 
 
-def content(path: Path) -> tuple[Counter[tuple[str, str]], list[list[str]]]:
-    """Rows of each entity on each timeline, and the names of the views of each layout."""
+def content(path: Path) -> Counter[tuple[str, str]]:
+    """Number of rows of each entity on each timeline."""
     rows: Counter[tuple[str, str]] = Counter()
     reader = _reader(path)
     for entry in reader.recordings() if reader else ():
         for chunk in reader.stream(store=entry):
             for timeline in chunk.timeline_names or ["static"]:
                 rows[chunk.entity_path, timeline] += chunk.num_rows
-    return rows, sorted(layouts(path).values())
+    return rows
 
 
 def layouts(path: Path) -> dict[str, list[str]]:

@@ -27,7 +27,7 @@ from ffmap.app.progress import Progress
 from ffmap.app.record import comparison as recorder
 from ffmap.app.record.log import open_log
 from ffmap.app.record.read_back import readable, rows
-from ffmap.app.record.stream import send_part
+from ffmap.app.record.stream import join
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
 from ffmap.blueprints.compare import ComparedRun
@@ -156,7 +156,8 @@ def _write(
     numbers = (min(scan_of.values()), max(scan_of.values())) if scan_of else None
     centre_m, extent_m = view_of(*(run.grid for run in runs))
     layout = compare_blueprint.build(shown, centre_m, extent_m, scan, letter, numbers)
-    with open_log(out, recording_id, layout=layout) as log:
+    parts.append(spool / "differences.rrd")
+    with open_log(parts[-1], recording_id) as log:
         log.stream.send_recording_name(" – ".join(run.run.name for run in runs))
         colors = recorder.transition_colors(comparison.changes)
         recorder.log_common(log, runs_document(comparison), colors)
@@ -169,6 +170,5 @@ def _write(
         for change in comparison.changes:
             text = change_document(change, comparison)
             recorder.log_change(log, change.b.letter, change, text, scan_of, colors)
-        for part in parts:
-            send_part(log.stream, part)
+    join(out, recording_id, layout, parts)
     return comparison

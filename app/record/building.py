@@ -30,7 +30,7 @@ from ffmap.app.record.shapes import (
 from ffmap.app.record.wall_panels import wall_panels
 from ffmap.blueprints.entities import CLASSES, DOOR_COLOR, GRID, MAP_POINTS, WALL_COLOR, Color
 
-_MAP_RADIUS_UI = 1.25
+_MAP_RADIUS = ui_radius(1.25)
 _FUSED_COLOR: Color = (190, 190, 190)
 _REFUSED_COLOR: Color = (255, 140, 60)
 _OUTSIDE_COLOR, _CLUTTER_COLOR = CLASSES[Label.OUTSIDE][1], CLASSES[Label.CLUTTER][1]
@@ -205,6 +205,8 @@ def _log_split(
     ceiling = label == Label.CEILING
     positions = rounded(points_map)
     for own_path, own in ((path, ~ceiling), (ceiling_path, ceiling)):
-        radii = ui_radius(_MAP_RADIUS_UI)
-        points = rr.Points3D(positions[own], class_ids=label[own], radii=radii)
-        log.stream.log(own_path, points, static=static)
+        points = {"positions": positions[own], "class_ids": label[own], "radii": [_MAP_RADIUS]}
+        if static:
+            log.static(own_path, rr.Points3D(**points))
+        else:
+            log.row(own_path, rr.Points3D, **points)

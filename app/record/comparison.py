@@ -86,9 +86,13 @@ def log_changed_points(
     log: Log, letter: str, points_map: FloatArray, before: UInt8Array, after: UInt8Array
 ) -> None:
     """Log the points (c, 3) of a scan whose labels differ, with their classes (c,) in both runs."""
-    points = rr.Points3D(points_map, class_ids=CLASSES * before + after)
-    path = f"/changes/{letter}/points"
-    log.now(path, points, evidence(before=before, after=after))
+    log.row(
+        f"/changes/{letter}/points",
+        rr.Points3D,
+        evidence(before=before, after=after),
+        positions=points_map,
+        class_ids=CLASSES * before + after,
+    )
 
 
 def log_common(log: Log, text: str, colors: Mapping[int, entities.Color]) -> None:

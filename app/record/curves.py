@@ -14,7 +14,14 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.vertical_structures import VerticalStructures
 from ffmap.app.record.log import Log, evidence
-from ffmap.app.record.shapes import annotations, strips_2d, words
+from ffmap.app.record.shapes import (
+    TEXT_COLOR,
+    annotations,
+    strip_style_2d,
+    strips_2d,
+    ui_radius,
+    words,
+)
 from ffmap.blueprints.entities import BOTTOMMOST_COLOR, UPMOST_COLOR, Color
 
 _WIDTH, _IMAGE_WIDTH, _GAP = 640.0, 305.0, 30.0
@@ -35,6 +42,8 @@ _SCALE: tuple[Color, ...] = (
     *((250, 215, 70), (250, 160, 40), (240, 100, 40), (190, 25, 40)),
 )
 """Green: upright, within the threshold. Blue: nearer with height; yellow to red: farther."""
+_SHADES = 1 + np.searchsorted(_BOUNDS, np.arange(-9, 9) / 2.0, "right").astype(np.uint8)
+"""Colours of differences in steps of half a threshold: every bound is at one."""
 _NO_SAMPLE: Color = (30, 32, 36)
 _STRUCTURES: dict[int, tuple[str, Color]] = {
     0: ("no structure", _NO_SAMPLE),
@@ -45,8 +54,8 @@ _STRUCTURES: dict[int, tuple[str, Color]] = {
 _FLOAT16_MAX = 65504.0
 
 
-def log_color_scale(log: Log, slope_max: float) -> None:
-    """Log the static data of all scans: colours, frames, thresholds, titles.
+def log_curve_styles(log: Log, slope_max: float) -> None:
+    """Log the constant data of all scans: colours, frames, thresholds, titles.
 
     slope_max: the threshold of eq. 2.
     """
@@ -55,8 +64,9 @@ def log_color_scale(log: Log, slope_max: float) -> None:
     names = ["no sample", *ranges, f"above {bounds[-1]}, or equal heights"]
     colors = (_NO_SAMPLE, *_SCALE)
     classes = {k: (name, color) for k, (name, color) in enumerate(zip(names, colors, strict=True))}
-    log.static("/scan/differences/of_lines", annotations(classes))
-    log.static("/scan/differences/structures", annotations(_STRUCTURES))
+    opaque = rr.SegmentationImage.from_fields(opacity=1.0)
+    log.static("/scan/differences/of_lines", annotations(classes), opaque)
+    log.static("/scan/differences/structures", annotations(_STRUCTURES), opaque)
     x = np.linspace(0.0, _IMAGE_WIDTH, len(_SCALE) + 1)
     steps = np.stack([x[:-1], x[1:]], axis=1)
     bar = np.stack([steps, np.full_like(steps, 214.0)], axis=2).astype(np.float32)
@@ -72,14 +82,21 @@ def log_color_scale(log: Log, slope_max: float) -> None:
     log.static("/scan/differences/frame", strips_2d(frame, _FRAME_COLOR, 0.5, 10.0))
     levels = [_MIDDLE - sign * _HALF / _LIMIT for sign in (-1, 1)]
     thresholds = [[(0, y), (_WIDTH, y)] for y in levels]
-    log.static(
-        "/scan/differences/threshold", strips_2d(thresholds, _THRESHOLD_COLOR, 1.25, 40.0)
-    )
+    log.static("/scan/differences/threshold", strips_2d(thresholds, _THRESHOLD_COLOR, 1.25, 40.0))
     limits = [(-16.0, levels[1]), (-16.0, levels[0])]
     names = [f"+{slope_max:g}", f"−{slope_max:g}"]
-    log.static(
-        "/scan/differences/threshold/values", words(limits, names, _THRESHOLD_COLOR)
+    log.static("/scan/differences/threshold/values", words(limits, names, _THRESHOLD_COLOR))
+    for path, color, radius, order in (
+        ("/scan/differences/curve", _CURVE_COLOR, 1.0, 30.0),
+        ("/scan/differences/curve/slope", _WHITE, 1.0, 50.0),
+        ("/scan/differences/curve/column", _WHITE, 1.5, 60.0),
+    ):
+        log.static(path, strip_style_2d(color, radius, order))
+    log.static("/scan/differences/curve/structures", rr.Boxes2D.from_fields(radii=ui_radius(1.5)))
+    name = rr.Points2D.from_fields(
+        positions=[(70.0, foot - 26.0)], radii=0.0, colors=TEXT_COLOR, show_labels=True
     )
+    log.static("/scan/differences/curve/name", name)
     titles = {
         (_WIDTH / 2, top - 26.0): "one line, foot left: eq. 2 blue, deciding slope white",
         (_IMAGE_WIDTH / 2, -22.0): "all lines, foot below: eq. 2",
@@ -94,18 +111,19 @@ def log_differences(log: Log, labelling: ScanLabelling) -> None:
     # Not as tensors: few readers of tables know their union type.
     curves = {name: _float16(getattr(structures, name)) for name in ("difference", "slope")}
     kept = "line", "first", "last", "bottom_m", "top_m", "upmost", "bottommost"
-    log.now("/scan/structures", evidence(structures, *kept, **curves))
+    log.row("/scan/structures", None, evidence(structures, *kept, **curves))
     present = labelling.lines.samples[:, 0] >= 0
-    columns = _columns(len(present))
+    count, samples = structures.difference.shape
+    image_format = rr.components.ImageFormat(count, samples, channel_datatype="U8")
+    width = _IMAGE_WIDTH / max(count, 1)
     left = 0.0
-    for path, image in (
+    for path, classes in (
         ("/scan/differences/of_lines", _shaded(structures.difference / slope_max, present)),
         ("/scan/differences/structures", _roles(structures)),
     ):
-        scale = rr.Transform3D.from_fields(
-            translation=[left, 0.0, 0.0], scale=[_IMAGE_WIDTH / max(len(present), 1), 1.0, 1.0]
-        )
-        log.now(path, scale, rr.SegmentationImage(image.T[::-1, columns], opacity=1.0))
+        image = classes.T[::-1, _columns(count)]
+        log.row(path, rr.SegmentationImage, buffer=[image.tobytes()], format=[image_format])
+        log.row(path, rr.Transform3D, translation=[[left, 0.0, 0.0]], scale=[[width, 1.0, 1.0]])
         left = _IMAGE_WIDTH + _GAP
 
 
@@ -114,34 +132,33 @@ def log_line(log: Log, labelling: ScanLabelling, line: int) -> None:
     structures, slope_max = labelling.structures, labelling.settings.vertical_structures.slope_max
     present = labelling.lines.samples[line, 0] >= 0
     step = _WIDTH / (structures.difference.shape[1] - 1)
-    for path, values, color, order in (
-        ("/scan/differences/curve", structures.difference, _CURVE_COLOR, 30.0),
-        ("/scan/differences/curve/slope", structures.slope, _WHITE, 50.0),
+    for path, values in (
+        ("/scan/differences/curve", structures.difference),
+        ("/scan/differences/curve/slope", structures.slope),
     ):
         # Equal heights, where eq. 2 has no value, are as steep as possible.
         drawn = np.clip(np.nan_to_num(values[line] / slope_max, nan=_LIMIT), -_LIMIT, _LIMIT)
-        y = _MIDDLE - _HALF / _LIMIT * drawn
-        curve = np.stack([step * np.arange(len(y)), y], axis=1)
-        log.now(path, strips_2d([curve] if present else [], color, 1.0, order))
+        curve = np.column_stack([step * np.arange(len(drawn)), _MIDDLE - _HALF / _LIMIT * drawn])
+        log.row(path, rr.LineStrips2D, strips=curve[None].astype(np.float32)[: int(present)])
     own = np.flatnonzero(structures.line == line)
     first, last = structures.first[own], structures.last[own]
-    half = np.stack([(last - first) * step / 2, np.full(len(own), _HALF)], axis=1)
-    centers = np.stack([(last + first) * step / 2, np.full(len(own), _MIDDLE)], axis=1)
-    upmost, bottommost = structures.upmost[line], structures.bottommost[line]
     colors = np.full((len(own), 3), _FRAME_COLOR, np.uint8)
-    colors[own == bottommost] = BOTTOMMOST_COLOR
-    colors[own == upmost] = UPMOST_COLOR
-    log.now(
+    colors[own == structures.bottommost[line]] = BOTTOMMOST_COLOR
+    colors[own == structures.upmost[line]] = UPMOST_COLOR
+    log.row(
         "/scan/differences/curve/structures",
-        rr.Boxes2D(half_sizes=half, centers=centers, colors=colors, radii=rr.Radius.ui_points(1.5)),
+        rr.Boxes2D,
         evidence(line=np.array([line]), first=first, last=last),
+        half_sizes=np.column_stack([(last - first) * step / 2, np.full(len(own), _HALF)]),
+        centers=np.column_stack([(last + first) * step / 2, np.full(len(own), _MIDDLE)]),
+        colors=colors,
     )
-    width = _IMAGE_WIDTH / len(labelling.lines)
-    x = width * (0.5 + int(np.flatnonzero(_columns(len(labelling.lines)) == line)[0]))
+    count = len(labelling.lines)
+    x = _IMAGE_WIDTH / count * (0.5 + int(np.flatnonzero(_columns(count) == line)[0]))
     marks = [[(x + left, 201.0), (x + left, 206.0)] for left in (0.0, _IMAGE_WIDTH + _GAP)]
-    log.now("/scan/differences/curve/column", strips_2d(marks, _WHITE, 1.5, 60.0))
+    log.row("/scan/differences/curve/column", rr.LineStrips2D, strips=np.array(marks, np.float32))
     name = f"line {line} (pair {line // 2}, side {line % 2})"
-    log.now("/scan/differences/curve/name", words([(70.0, _MIDDLE + _HALF - 26.0)], [name]))
+    log.row("/scan/differences/curve/name", rr.Points2D, labels=[name])
 
 
 def _columns(lines: int) -> np.ndarray:
@@ -152,8 +169,8 @@ def _columns(lines: int) -> np.ndarray:
 def _shaded(difference: FloatArray, present: BoolArray) -> UInt8Array:
     """Return the class of each difference (L, n), in units of the threshold."""
     steep = np.nan_to_num(difference, nan=np.inf)
-    shade = 1 + np.searchsorted(_BOUNDS, steep)
-    return np.where(present[:, None], shade, 0).astype(np.uint8)
+    halves = np.clip(np.floor(2.0 * steep), -9, 8).astype(np.intp)
+    return np.where(present[:, None], _SHADES[halves + 9], 0)
 
 
 def _roles(structures: VerticalStructures) -> UInt8Array:

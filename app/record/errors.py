@@ -20,16 +20,13 @@ from ffmap.algorithms.truth.doors import DoorComparison, FoundDoors, TrueDoors
 from ffmap.algorithms.truth.labels import verdicts
 from ffmap.algorithms.truth.maps import ComparedMaps
 from ffmap.algorithms.truth.tally import VOXEL_M, majorities
-from ffmap.app.record.log import Log, evidence, open_log
-from ffmap.app.record.shapes import at_height, strips, ui_radius, upright_frames
-from ffmap.app.record.stream import send_part, send_properties
+from ffmap.app.record.log import Log, open_log
+from ffmap.app.record.shapes import at_height, packed_colors, strips, ui_radius, upright_frames
+from ffmap.app.record.stream import join, send_properties
 from ffmap.app.record.whole_run import log_legend
 from ffmap.blueprints import entities
 
-VERDICT_COLORS = np.array(
-    [(r << 24) | (g << 16) | (b << 8) | 255 for _, (r, g, b) in entities.VERDICTS.values()],
-    np.uint32,
-)
+VERDICT_COLORS = packed_colors(*(color for _, color in entities.VERDICTS.values()))
 """Colour of each `Verdict`, as it is recorded for every point."""
 _MISSED_COLOR = entities.VERDICTS[Verdict.MISSED_WALL][1]
 _WRONG_COLOR = entities.VERDICTS[Verdict.FALSE_WALL][1]
@@ -52,17 +49,17 @@ def log_scan_errors(
     """Log the verdict on each recorded point of a scan, and the share of each kind of error."""
     verdict = verdicts(truth, label)
     log.at(stamp_ns, index)
-    log.now(entities.POINTS, evidence(**{entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]}))
+    log.row(entities.POINTS, None, {entities.POINT_VERDICT_COLOR: VERDICT_COLORS[verdict]})
     percent = 100.0 * np.bincount(verdict, minlength=len(Verdict)) / max(len(verdict), 1)
     for error in _ERRORS:
-        log.now(entities.scan_error(error), rr.Scalars(percent[error]))
+        log.row(entities.scan_error(error), rr.Scalars, scalars=percent[[error]])
 
 
 def write_layer(
     out: Path,
     spool: Path,
     recording_id: str,
-    blueprint: rrb.Blueprint,
+    layout: rrb.Blueprint,
     *,
     properties: Mapping[str, float],
     text: str,
@@ -78,7 +75,9 @@ def write_layer(
         properties: figures that become properties of the recording. text: all of them, Markdown.
         faces: (F, 2, 2) of the true walls.
     """
-    with open_log(out, recording_id, layout=blueprint) as log:
+    parts = sorted(spool.glob("scans-*.rrd"))
+    of_map = spool / "map.rrd"
+    with open_log(of_map, recording_id) as log:
         send_properties(log.stream, "metrics", properties)
         log.text("/evaluation/figures", text)
         log_legend(log, "/legend/errors", LEGEND)
@@ -90,8 +89,7 @@ def write_layer(
         _log_doors(log, true_doors, found_doors)
         _log_voxels(log, voxels)
         _log_overlays(log, maps)
-        for part in sorted(spool.glob("scans-*.rrd")):
-            send_part(log.stream, part)
+    join(out, recording_id, layout, [of_map, *parts])
 
 
 def _log_doors(

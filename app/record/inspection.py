@@ -18,8 +18,8 @@ from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_example, log_scan
 from ffmap.app.record.shapes import (
     annotations,
-    markdown,
-    strips,
+    strip_style,
+    strip_style_2d,
     strips_2d,
     ui_radius,
     upright_frames,
@@ -94,9 +94,11 @@ def write(out: Path, recording_id: str, scan: ExplainedScan) -> None:
     with open_log(out, recording_id, layout=layout) as log:
         slope_max = labelling.settings.vertical_structures.slope_max
         log_static(log, {}, scan.document, slope_max)
-        log_scan(Log(log.stream, timeless=True), 0, scan.level, labelling, 0)
+        of_scan = Log(log.stream, timeless=True)
+        log_scan(of_scan, 0, scan.level, labelling, 0)
+        of_scan.send_rows()
         lines = _Lines(log, scan)
-        lines.log_profile_frame(*size_m)
+        lines.log_styles(*size_m)
         for reason in scan.reasons:
             log.at_line(reason.line)
             lines.log_line(reason)
@@ -138,8 +140,30 @@ class _Lines:
         if scan.faults is not None:
             self._mark(scan.faults)
 
-    def log_profile_frame(self, range_m: float, height_m: float) -> None:
-        """Log floor, ceilings and scale of the profiles."""
+    def log_styles(self, range_m: float, height_m: float) -> None:
+        """Log colours, and floor, ceilings and scale of the profiles."""
+        for name, color in (
+            ("upmost", UPMOST_COLOR),
+            ("bottommost", BOTTOMMOST_COLOR),
+            ("others", _OTHER_COLOR),
+        ):
+            self._log.static(f"/scan/line/structures/{name}", strip_style(color, 4.0))
+            profiles = strip_style_2d(color, 3.0, 20.0)
+            self._log.static(f"/profile/structures/{name}", profiles)
+        self._log.static("/scan/line/sight", rr.Mesh3D.from_fields(albedo_factor=_SIGHT_COLOR))
+        for path, color, radius in (
+            ("/scan/line/growing_plane", _GROWING_COLOR, 2.5),
+            ("/scan/line/plane", WALL_COLOR, 2.0),
+            ("/scan/line/door", DOOR_COLOR, 3.0),
+        ):
+            self._log.static(path, strip_style(color, radius, show_labels=True))
+        self._log.static("/profile/door", strip_style_2d(DOOR_COLOR, 1.0, 15.0, True))
+        for path, radius, order in (
+            ("/profile/samples", 2.0, 30.0),
+            ("/profile/faults", 5.0, 25.0),
+        ):
+            points = rr.Points2D.from_fields(radii=ui_radius(radius), draw_order=order)
+            self._log.static(path, points)
         levels = [("floor", 0.0, CLASSES[Label.FLOOR][1])]
         for ceiling in self._labelling.ceilings:
             above_m = ceiling.height_m - self._floor_m
@@ -167,7 +191,8 @@ class _Lines:
         """Log one line: why it became what it is, in space, and its profile."""
         line = reason.line
         document = line_document(self._labelling, reason, self._log_faults(line))
-        self._log.now("/why/line", markdown(document))
+        markdown = [rr.MediaType.MARKDOWN]
+        self._log.row("/why/line", rr.TextDocument, text=[document], media_type=markdown)
         log_example(self._log, self._points, self._labelling, line)
         self._log_sight(line)
         self._log_structures(line)
@@ -181,11 +206,13 @@ class _Lines:
         lines = self._labelling.lines
         own = lines.order[lines.starts[line] : lines.starts[line + 1]]
         fault = self._faults.fault[own]
-        marked = self._profile[own[fault > 0]]
-        points = rr.Points2D(
-            marked, class_ids=fault[fault > 0], radii=ui_radius(5.0), draw_order=25.0
+        wrong = fault > 0
+        self._log.row(
+            "/profile/faults",
+            rr.Points2D,
+            positions=self._profile[own[wrong]],
+            class_ids=fault[wrong],
         )
-        self._log.now("/profile/faults", points)
         counts = {name: np.count_nonzero(fault == k) for k, (name, _) in FAULT_CLASSES.items()}
         kinds = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
         return f"**Final labels of its {len(own)} returns: {kinds}.**" if kinds else ""
@@ -194,37 +221,37 @@ class _Lines:
         """Log the rays to the line as a translucent fan: the line alone is a few pixels."""
         samples = self._labelling.lines.samples[line]
         ends = self._points[samples[samples >= 0]]
-        fan = [(0, i, i + 1) for i in range(1, len(ends))]
-        sheet = rr.Mesh3D(
-            vertex_positions=np.vstack([self._origin, ends]).astype(np.float32),
-            triangle_indices=fan,
-            albedo_factor=_SIGHT_COLOR,
-        )
-        self._log.now("/scan/line/sight", sheet if fan else rr.Clear(recursive=False))
+        path = "/scan/line/sight"
+        if len(ends) < 2:
+            self._log.row(path, rr.Clear, is_recursive=[False])
+            return
+        first = np.arange(1, len(ends), dtype=np.uint32)
+        fan = np.column_stack([np.zeros_like(first), first, first + 1])
+        corners = np.vstack([self._origin, ends]).astype(np.float32)
+        self._log.row(path, rr.Mesh3D, vertex_positions=corners, triangle_indices=fan)
 
     def _log_structures(self, line: int) -> None:
         structures, samples = self._labelling.structures, self._labelling.lines.samples[line]
         own = np.flatnonzero(structures.line == line)
         upmost, bottommost = structures.upmost[line], structures.bottommost[line]
         rest = (own != upmost) & (own != bottommost)
-        for name, chosen, color in (
-            ("upmost", own[own == upmost], UPMOST_COLOR),
-            ("bottommost", own[(own == bottommost) & (own != upmost)], BOTTOMMOST_COLOR),
-            ("others", own[rest], _OTHER_COLOR),
+        for name, chosen in (
+            ("upmost", own[own == upmost]),
+            ("bottommost", own[(own == bottommost) & (own != upmost)]),
+            ("others", own[rest]),
         ):
             spans = [samples[structures.first[s] : structures.last[s] + 1] for s in chosen]
-            in_space = strips([self._points[span] for span in spans], color, 4.0)
-            self._log.now(f"/scan/line/structures/{name}", in_space)
-            profiles = strips_2d([self._profile[span] for span in spans], color, 3.0, 20.0)
-            self._log.now(f"/profile/structures/{name}", profiles)
+            in_space = [self._points[span] for span in spans]
+            self._log.row(f"/scan/line/structures/{name}", rr.LineStrips3D, strips=in_space)
+            profiles = [self._profile[span] for span in spans]
+            self._log.row(f"/profile/structures/{name}", rr.LineStrips2D, strips=profiles)
         shown = samples[samples >= 0]
-        points = rr.Points2D(
-            self._profile[shown],
+        self._log.row(
+            "/profile/samples",
+            rr.Points2D,
+            positions=self._profile[shown],
             class_ids=self._labelling.label[shown],
-            radii=ui_radius(2.0),
-            draw_order=30.0,
         )
-        self._log.now("/profile/samples", points)
 
     def _log_planes(self, line: int) -> None:
         """Log the growing plane when the line's candidate came, and the plane that holds it."""
@@ -249,10 +276,11 @@ class _Lines:
                 heights = (self._floor_m + h[[plane]] for h in (planes.bottom_m, planes.top_m))
                 outlines.append(upright_frames(planes.ends[[plane]], *heights)[0])
                 names.append(f"plane {plane}, {100 * planes.candidate_nearest_m[c]:.1f} cm away")
-        in_growth = strips(growing, _GROWING_COLOR, 2.5, growing_names, show_labels=True)
-        self._log.now("/scan/line/growing_plane", in_growth)
-        in_plane = strips(outlines, WALL_COLOR, 2.0, names, show_labels=True)
-        self._log.now("/scan/line/plane", in_plane)
+        for path, drawn, labels in (
+            ("/scan/line/growing_plane", growing, growing_names),
+            ("/scan/line/plane", outlines, names),
+        ):
+            self._log.row(path, rr.LineStrips3D, strips=drawn, labels=labels)
 
     def _log_door(self, line: int) -> None:
         """Log where the line passes below the height at which the depression begins."""
@@ -261,9 +289,9 @@ class _Lines:
         reach_m = float(self._profile[:, 0].max())
         posts, marks = [], []
         for (x, y), start_m in zip(doors.position[own], doors.start_height_m[own], strict=True):
-            posts.append([[x, y, self._floor_m], [x, y, self._floor_m + start_m]])
-            marks.append([[0.0, -start_m], [reach_m, -start_m]])
+            posts.append(np.array([[x, y, self._floor_m], [x, y, self._floor_m + start_m]]))
+            marks.append(np.array([[0.0, -start_m], [reach_m, -start_m]]))
         depths = [f"{100 * depth_m:.0f} cm deep below here" for depth_m in doors.depth_m[own]]
-        self._log.now("/scan/line/door", strips(posts, DOOR_COLOR, 3.0, depths, show_labels=True))
+        self._log.row("/scan/line/door", rr.LineStrips3D, strips=posts, labels=depths)
         starts = [f"depression below {start_m:.2f} m" for start_m in doors.start_height_m[own]]
-        self._log.now("/profile/door", strips_2d(marks, DOOR_COLOR, 1.0, 15.0, starts))
+        self._log.row("/profile/door", rr.LineStrips2D, strips=marks, labels=starts)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import BoolArray
+from ffmap.algorithms.base.scan import BoolArray, UInt8Array
 from ffmap.algorithms.scan.doors import (
     EXCEPTIONS_MAX,
     HEIGHT_MAX_M,
@@ -51,17 +51,14 @@ class LineReason:
         return f"{self.short[:1].upper()}{self.short[1:]}." if self.short else ""
 
 
-def line_outcomes(labelling: ScanLabelling) -> list[LineOutcome]:
-    """Return the outcome of each line."""
+def line_outcomes(labelling: ScanLabelling) -> UInt8Array:
+    """Return the `LineOutcome` of each line."""
     planes, doors = labelling.planes, labelling.door_lines
-    outcome = [LineOutcome.NO_STRUCTURE] * len(labelling.lines)
+    outcome = np.full(len(labelling.lines), LineOutcome.NO_STRUCTURE, np.uint8)
     # A line is in a plane if any of its candidates is.
-    for line in planes.candidates.line[planes.candidate_plane < 0]:
-        outcome[line] = LineOutcome.REFUSED
-    for line in planes.candidates.line[planes.candidate_plane >= 0]:
-        outcome[line] = LineOutcome.WALL
-    for line in doors.line[doors.above_door]:
-        outcome[line] = LineOutcome.DOOR
+    outcome[planes.candidates.line[planes.candidate_plane < 0]] = LineOutcome.REFUSED
+    outcome[planes.candidates.line[planes.candidate_plane >= 0]] = LineOutcome.WALL
+    outcome[doors.line[doors.above_door]] = LineOutcome.DOOR
     return outcome
 
 
@@ -78,7 +75,7 @@ def door_reasons(labelling: ScanLabelling) -> list[str]:
 def explain_lines(labelling: ScanLabelling) -> list[LineReason]:
     """Return the reason of each line of a scan."""
     outcomes = enumerate(line_outcomes(labelling))
-    return [_explain(labelling, line, outcome) for line, outcome in outcomes]
+    return [_explain(labelling, line, LineOutcome(outcome)) for line, outcome in outcomes]
 
 
 def name_of(line: int) -> str:
@@ -256,8 +253,8 @@ def _door_conditions(labelling: ScanLabelling, d: int) -> list[Condition]:
 
 def _door_reason(labelling: ScanLabelling, d: int) -> str:
     doors, opening = labelling.door_lines, int(labelling.openings.door_line_opening[d])
-    for condition in (_is_behind(labelling, d), _is_high(labelling, d)):
-        if not condition.met:
+    for condition_of in (_is_behind, _is_high):
+        if not (condition := condition_of(labelling, d)).met:
             return f"no door: {condition}"
     state, depth = DoorState(doors.state[d]).name.lower(), _cm(doors.depth_m[d])
     part = f"part of opening {opening}" if opening >= 0 else "too few lines for an opening"

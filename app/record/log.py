@@ -1,8 +1,10 @@
 """Write access to a recording: a stream, the current time, and the detail of a run."""
 
-from collections.abc import Iterable, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,18 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ffmap.algorithms.base.scan import IntArray
+from ffmap.algorithms.base import transforms
+from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.app.record.shapes import markdown
 from ffmap.app.record.stream import open_part
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints.entities import LINE_TIMELINE, SCAN_TIMELINE, STAMP_TIMELINE, Color
 
+Evidence = Mapping[str, npt.NDArray[Any]]
+"""Arrays beside an archetype, by name."""
+
+_CHUNK_BYTES = 1 << 20
+"""Size of an entity's rows that are sent together: one by one, they cost twice as much."""
 _RECORDED_AS: dict[str, np.dtype[Any]] = {
     "d": np.dtype(np.float32),
     "l": np.dtype(np.int32),
@@ -27,45 +35,126 @@ _RECORDED_AS: dict[str, np.dtype[Any]] = {
 
 
 @dataclass(frozen=True)
+class _Row:
+    """components: arrays of numpy or Arrow, or lists, by name."""
+
+    time: Mapping[str, int]
+    components: Mapping[str, Any]
+    evidence: Evidence
+
+    @property
+    def size(self) -> int:
+        """Bytes of its arrays."""
+        values = (*self.components.values(), *self.evidence.values())
+        return sum(getattr(value, "nbytes", 0) for value in values)
+
+
 class Log:
-    """A stream to log into; the first argument of every function that logs.
+    """A stream to log into; the first argument of every function that logs."""
 
-    detail: how much of each scan is logged.
-    timeless: data of a scan is static, as in a recording of one scan.
-    scan_stamps_ns: (n,) of the vertical clouds in the bag; None without vertical clouds. With
-        them, data of a horizontal scan also has an index on the timeline `scan`: the first
-        vertical cloud that is not older, or the last one.
-    """
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        detail: Detail = Detail.LINES,
+        timeless: bool = False,
+        scan_stamps_ns: IntArray | None = None,
+    ) -> None:
+        """Log into a stream.
 
-    stream: rr.RecordingStream
-    detail: Detail = Detail.LINES
-    timeless: bool = False
-    scan_stamps_ns: IntArray | None = None
+        detail: how much of each scan is logged.
+        timeless: data of a scan is static, as in a recording of one scan.
+        scan_stamps_ns: (n,) of the vertical clouds in the bag; None without vertical clouds. With
+            them, data of a horizontal scan also has an index on the timeline `scan`: the first
+            vertical cloud that is not older, or the last one.
+        """
+        self.stream = stream
+        self.detail = detail
+        self.timeless = timeless
+        # The highest stamp up to each cloud, because a clock may step back.
+        self._reached_ns = None if scan_stamps_ns is None else np.maximum.accumulate(scan_stamps_ns)
+        self._time: dict[str, int] = {}
+        self._rows: defaultdict[tuple[Any, ...], list[_Row]] = defaultdict(list)
+        self._sizes: Counter[tuple[Any, ...]] = Counter()
 
     def at(self, stamp_ns: int, index: int | None = None) -> None:
         """Set the time and the scan of the next rows."""
-        self.stream.reset_time()
-        self.stream.set_time(STAMP_TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._time = {STAMP_TIMELINE: stamp_ns}
         if index is not None:
-            self.stream.set_time(SCAN_TIMELINE, sequence=index)
+            self._time[SCAN_TIMELINE] = index
+
+    def at_sweep(self, stamp_ns: int) -> None:
+        """Set the time of a horizontal scan for the next rows."""
+        scan = None
+        if self._reached_ns is not None and len(self._reached_ns):
+            scan = min(int(np.searchsorted(self._reached_ns, stamp_ns)), len(self._reached_ns) - 1)
+        self.at(stamp_ns, scan)
 
     def at_line(self, line: int) -> None:
         """Set the point line of the next rows, in a recording of one scan."""
-        self.stream.reset_time()
-        self.stream.set_time(LINE_TIMELINE, sequence=line)
+        self._time = {LINE_TIMELINE: line}
 
-    def now(self, path: str, *values: rr.AsComponents) -> None:
-        """Log at the time that is set."""
-        self.stream.log(path, *values, static=self.timeless)
+    def row(
+        self,
+        path: str,
+        archetype: Any = None,  # noqa: ANN401 - Rerun's archetypes have no common type
+        evidence: Evidence | None = None,
+        **components: Any,  # noqa: ANN401
+    ) -> None:
+        """Log components of an archetype and evidence at the time that is set.
 
-    def static(self, path: str, *values: rr.AsComponents) -> None:
-        """Log data that holds for the whole recording."""
-        self.stream.log(path, *values, static=True)
+        components: as the archetype's `columns` takes them; each is an array or a list.
+        Components that are the same in all rows of an entity cost less as static data.
+        """
+        row = _Row({} if self.timeless else self._time, components, evidence or {})
+        # Rows that are sent together have the same columns.
+        key = path, archetype, *row.time, *components, *row.evidence
+        self._rows[key].append(row)
+        self._sizes[key] += row.size
+        if self._sizes[key] > _CHUNK_BYTES:
+            self._send(key)
 
-    def message(self, text: str, stamp_ns: int, index: int | None = None) -> None:
-        """Log a warning at a scan or time."""
-        self.at(stamp_ns, index)
-        self.now("/messages", rr.TextLog(text, level=rr.TextLogLevel.WARN))
+    def pose(self, path: str, T_parent_child: FloatArray) -> None:
+        """Log the transform (4, 4) of an entity at the time that is set."""
+        quaternion = transforms.quaternion_xyzw(T_parent_child)
+        translation = T_parent_child[:3, 3]
+        self.row(path, rr.Transform3D, translation=translation[None], quaternion=quaternion[None])
+
+    def send_rows(self) -> None:
+        """Send all rows that were not sent yet."""
+        for key in list(self._rows):
+            self._send(key)
+
+    def _send(self, key: tuple[Any, ...]) -> None:
+        path, archetype, *_ = key
+        rows = self._rows.pop(key)
+        del self._sizes[key]
+        columns: list[rr.ComponentColumn] = []
+        for name in rows[0].components:
+            values = [row.components[name] for row in rows]
+            columns += _partitioned(archetype.from_fields(**{name: _joined(values)}), values)
+        for name in rows[0].evidence:
+            arrays = [row.evidence[name] for row in rows]
+            beside = rr.AnyValues(**{name: _typed(_joined(arrays))})
+            columns += _partitioned(beside, arrays)
+        indexes = []
+        for name in rows[0].time:
+            at = [row.time[name] for row in rows]
+            indexes += times(at) if name == STAMP_TIMELINE else [rr.TimeColumn(name, sequence=at)]
+        self.stream.send_columns(path, indexes, columns)
+
+    def static(self, path: str, *values: rr.AsComponents | Evidence) -> None:
+        """Log archetypes and evidence that hold for the whole recording."""
+        archetypes = [
+            rr.AnyValues(**{name: _typed(array) for name, array in value.items()})
+            if isinstance(value, Mapping)
+            else value
+            for value in values
+        ]
+        self.stream.log(path, *archetypes, static=True)
+
+    def message(self, text: str) -> None:
+        """Log a warning at the time that is set."""
+        self.row("/messages", rr.TextLog, text=[text], level=[rr.TextLogLevel.WARN])
 
     def text(self, path: str, text: str) -> None:
         """Log Markdown that holds for the whole recording."""
@@ -79,17 +168,6 @@ class Log:
         """Log the values of a curve, one for each time."""
         self.stream.send_columns(path, indexes, rr.Scalars.columns(scalars=values))
 
-    def columns(self, path: str, stamp_ns: IntArray, columns: rr.ComponentColumnList) -> None:
-        """Log one row for each horizontal scan."""
-        if not len(stamp_ns):
-            return
-        scan = None
-        if self.scan_stamps_ns is not None and len(self.scan_stamps_ns):
-            # The highest stamp up to each cloud, because a clock may step back.
-            reached_ns = np.maximum.accumulate(self.scan_stamps_ns)
-            scan = np.searchsorted(reached_ns, stamp_ns).clip(max=len(reached_ns) - 1)
-        self.stream.send_columns(path, times(stamp_ns, scan), columns)
-
 
 @contextmanager
 def open_log(
@@ -100,7 +178,9 @@ def open_log(
 ) -> Iterator[Log]:
     """Open a log into a recording file, or a part of one, see `open_part`."""
     with open_part(path, recording_id, layout) as stream:
-        yield Log(stream, detail)
+        log = Log(stream, detail)
+        yield log
+        log.send_rows()
 
 
 def times(stamp_ns: npt.ArrayLike, index: Iterable[int] | None = None) -> list[rr.TimeColumn]:
@@ -112,13 +192,28 @@ def times(stamp_ns: npt.ArrayLike, index: Iterable[int] | None = None) -> list[r
     return columns
 
 
-def evidence(answer: object = None, *names: str, **columns: npt.NDArray[Any]) -> rr.AnyValues:
+def evidence(answer: object = None, *names: str, **columns: npt.NDArray[Any]) -> Evidence:
     """Return arrays to log beside an archetype.
 
     names: fields of answer, logged under their own names. columns: further arrays by name.
     """
-    arrays = {name: getattr(answer, name) for name in names} | columns
-    return rr.AnyValues(**{name: _typed(values) for name, values in arrays.items()})
+    return {name: getattr(answer, name) for name in names} | columns
+
+
+def _partitioned(joined: rr.AsComponents, values: Sequence[Any]) -> list[rr.ComponentColumn]:
+    """Divide joined values into rows again."""
+    lengths = [len(value) for value in values]
+    return [batch.partition(lengths) for batch in joined.as_component_batches()]
+
+
+def _joined(values: Sequence[Any]) -> Any:  # noqa: ANN401 - arrays or lists
+    if len(values) == 1:
+        return values[0]
+    if isinstance(values[0], np.ndarray):
+        return np.concatenate(values)
+    if isinstance(values[0], pa.Array):
+        return pa.concat_arrays(values)
+    return list(chain.from_iterable(values))
 
 
 def _typed(values: npt.NDArray[Any]) -> pa.Array:

@@ -1,7 +1,5 @@
 """The trajectory of the robot, and the registration of each horizontal scan."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import rerun as rr
 
@@ -10,7 +8,7 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.poses.odometry import Registration
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.record.log import Log, times
-from ffmap.app.record.shapes import rounded, strips, transform_columns, ui_radius
+from ffmap.app.record.shapes import rounded, strips, ui_radius
 from ffmap.app.setup.outputs import Detail
 from ffmap.blueprints.entities import KEYPOINT_COLOR, LOOP_COLOR, WEAK_COLOR, Color
 
@@ -59,7 +57,9 @@ def log_trajectory(
 
 def log_odometry_frame(log: Log, stamp_ns: IntArray, T_map_odom: FloatArray) -> None:
     """Log the odometry frame (n, 4, 4) in the map; closed loops move it."""
-    log.columns("/world/odometry", stamp_ns, transform_columns(T_map_odom))
+    for at_ns, T in zip(stamp_ns.tolist(), T_map_odom, strict=True):
+        log.at_sweep(at_ns)
+        log.pose("/world/odometry", T)
 
 
 def log_pose_graph(
@@ -85,48 +85,28 @@ def log_pose_graph(
     log.static("/world/pose_graph/loops", strips(ends, colors, 0.75, labels, show_labels=False))
     way = [before] if len(before) > 1 else []
     log.static("/world/pose_graph/way_of_odometry", strips(way, _ODOMETRY_COLOR, 1.5))
-    log.columns(f"{_ROOT}/loops_moved_m", stamp_ns, rr.Scalars.columns(scalars=moved_m))
+    for at_ns, moved in zip(stamp_ns.tolist(), moved_m.tolist(), strict=True):
+        log.at_sweep(at_ns)
+        log.row(f"{_ROOT}/loops_moved_m", rr.Scalars, scalars=[moved])
 
 
-def log_registrations(
-    log: Log, registrations: Sequence[Registration], weak: Sequence[str | None]
-) -> None:
-    """Log registrations of horizontal scans. weak: why each is unreliable, or None.
-
-    Many in one call: one by one they would cost the main process more than all else.
-    """
-    if not registrations:
-        return
-    stamp_ns = np.array([r.stamp_ns for r in registrations])
-    T_odom_sensor = np.array([r.T_odom_sensor for r in registrations])
-    log.columns("/world/odometry/sensor", stamp_ns, transform_columns(T_odom_sensor))
+def log_registration(log: Log, registration: Registration, weak: str | None) -> None:
+    """Log the registration of a horizontal scan. weak: why it is unreliable, or None."""
+    log.at_sweep(registration.stamp_ns)
+    log.pose("/world/odometry/sensor", registration.T_odom_sensor)
     if log.detail is not Detail.MAP:
-        keypoints = [r.keypoints_sensor for r in registrations]
-        _log_clouds(log, "/world/odometry/sensor/keypoints", stamp_ns, keypoints)
-        mapped = [r for r in registrations if len(r.local_map_odom)]
-        mapped_ns = np.array([r.stamp_ns for r in mapped])
-        local_maps = [r.local_map_odom for r in mapped]
-        _log_clouds(log, "/world/odometry/local_map", mapped_ns, local_maps)
-    alarms = [(r, why) for r, why in zip(registrations, weak, strict=True) if why is not None]
-    if alarms:
-        alarm_ns = np.array([r.stamp_ns for r, _ in alarms])
-        places = np.array([r.T_odom_sensor[:3, 3] for r, _ in alarms], np.float32)
-        log.columns("/world/odometry/weak", alarm_ns, rr.Points3D.columns(positions=places))
-        texts = [f"registration {r.index} is weak: {why}" for r, why in alarms]
-        levels = [rr.TextLogLevel.WARN] * len(alarms)
-        log.columns("/messages", alarm_ns, rr.TextLog.columns(text=texts, level=levels))
-    curves = {name: [getattr(r, name) for r in registrations] for name in _QUALITY}
-    curves["keypoint_count"] = [len(r.keypoints_sensor) for r in registrations]
-    curves["weak"] = [why is not None for why in weak]
-    for name, values in curves.items():
-        scalars = np.array(values, np.float64)
-        known = np.isfinite(scalars)
-        columns = rr.Scalars.columns(scalars=scalars[known])
-        log.columns(f"{_ROOT}/{name}", stamp_ns[known], columns)
-
-
-def _log_clouds(log: Log, path: str, stamp_ns: IntArray, clouds: Sequence[FloatArray]) -> None:
-    """Log clouds (k, 3) at the stamps of horizontal scans."""
-    if clouds:
-        columns = rr.Points3D.columns(positions=rounded(np.concatenate(clouds)))
-        log.columns(path, stamp_ns, columns.partition([len(cloud) for cloud in clouds]))
+        keypoints = rounded(registration.keypoints_sensor)
+        log.row("/world/odometry/sensor/keypoints", rr.Points3D, positions=keypoints)
+        if len(registration.local_map_odom):
+            local_map = rounded(registration.local_map_odom)
+            log.row("/world/odometry/local_map", rr.Points3D, positions=local_map)
+    if weak is not None:
+        place = registration.T_odom_sensor[None, :3, 3]
+        log.row("/world/odometry/weak", rr.Points3D, positions=place)
+        log.message(f"registration {registration.index} is weak: {weak}")
+    values = {name: float(getattr(registration, name)) for name in _QUALITY}
+    values["keypoint_count"] = len(registration.keypoints_sensor)
+    values["weak"] = weak is not None
+    for name, value in values.items():
+        if np.isfinite(value):
+            log.row(f"{_ROOT}/{name}", rr.Scalars, scalars=[float(value)])

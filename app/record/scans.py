@@ -14,17 +14,16 @@ from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.smoothing import SmoothedRanges
-from ffmap.app.record.curves import log_color_scale, log_differences, log_line
+from ffmap.app.record.curves import log_curve_styles, log_differences, log_line
 from ffmap.app.record.line_reasons import candidate_reasons, door_reasons, line_outcomes
 from ffmap.app.record.log import Log, evidence, times
 from ffmap.app.record.shapes import (
-    POINT_RADIUS_UI,
     SEE_THROUGH,
     annotations,
+    packed_colors,
     rounded,
-    strips,
+    strip_style,
     strips_of,
-    transform,
     ui_radius,
     unbroken,
     upright_frames,
@@ -44,12 +43,15 @@ from ffmap.blueprints.entities import (
 _LINE_STEP, _SPAN_STEP, _OUTLINE_STEP = 3, 8, 13
 """Only every n-th sample of lines and candidates, and return of outlines, is drawn: size."""
 _EXAMPLE_COLOR: Color = (255, 255, 255)
-_REFUSED_CANDIDATE_COLOR: Color = (110, 110, 110)
-_PLANE_COLORS: tuple[Color, ...] = (
+_PLANE_COLORS = packed_colors(
     *((31, 186, 140), (214, 110, 40), (126, 118, 220), (231, 60, 148)),
     *((122, 186, 40), (240, 190, 30), (90, 170, 240), (170, 110, 70)),
 )
 """Wall planes take these in turn."""
+_REFUSED_COLOR = packed_colors((110, 110, 110))
+_RADIUS_UPRIGHT = np.full(256, ui_radius(1.5))
+"""Radius of a return by its label where floor and ceiling are hidden, as in Fig. 3."""
+_RADIUS_UPRIGHT[[Label.FLOOR, Label.CEILING]] = 0.0
 _DOOR_CONDITIONS: dict[int, tuple[str, Color]] = {
     1: ("1: in a wall plane", (170, 170, 170)),
     2: ("1, 2: all below is behind the plane", (255, 140, 0)),
@@ -76,14 +78,32 @@ METRICS = (
 """The entities of `scan_metrics`."""
 
 
-def log_scan_classes(log: Log, slope_max: float) -> None:
-    """Log names and colours of the entities of scans. slope_max: the threshold of eq. 2."""
+def log_scan_styles(log: Log, slope_max: float) -> None:
+    """Log the constant data of all scans: names, colours, sizes. slope_max: threshold of eq. 2."""
     for path, (name, color) in (_LABEL_COUNTS | _COUNTS).items():
         log.curve_style(path, name, color)
-    if log.detail is Detail.LINES:
-        log.static("/scan/lines", annotations(entities.LINE_OUTCOMES))
-        log.static("/scan/doors/conditions", annotations(_DOOR_CONDITIONS))
-        log_color_scale(log, slope_max)
+    if log.detail is Detail.MAP:
+        return
+    log.static(entities.POINTS, rr.Points3D.from_fields(radii=ui_radius(1.5)))
+    log.static(entities.RELABELLED, rr.Points3D.from_fields(radii=ui_radius(2.5)))
+    see_through = rr.Mesh3D.from_fields(albedo_factor=(255, 255, 255, SEE_THROUGH))
+    log.static(entities.PLANES, see_through)
+    log.static(entities.OPENINGS, strip_style(DOOR_COLOR, 3.0))
+    log.static("/scan/floor", strip_style(CLASSES[Label.FLOOR][1], 1.0))
+    log.static("/scan/ceiling", strip_style(CLASSES[Label.CEILING][1], 1.0))
+    if log.detail is Detail.SCANS:
+        return
+    log.static("/scan/lines", annotations(entities.LINE_OUTCOMES), strip_style(None, 0.75))
+    log.static("/scan/lines/example", strip_style(_EXAMPLE_COLOR, 3.0))
+    for path, color in (
+        ("/scan/candidates/upmost", entities.UPMOST_COLOR),
+        ("/scan/candidates/bottommost", entities.BOTTOMMOST_COLOR),
+    ):
+        log.static(path, strip_style(color, 2.0, show_labels=False))
+    points = rr.Points3D.from_fields(radii=ui_radius(5.0), show_labels=False)
+    log.static("/scan/doors/conditions", annotations(_DOOR_CONDITIONS), points)
+    log.static("/scan/doors/lines", strip_style(DOOR_COLOR, 1.5))
+    log_curve_styles(log, slope_max)
 
 
 def log_scan(
@@ -101,8 +121,8 @@ def log_scan(
     placed = level.placed
     if not log.timeless:
         log.at(stamp_ns, index)
-    log.now("/world/base", transform(placed.T_map_base))
-    log.now("/scan", transform(placed.T_map_level))
+    log.pose("/world/base", placed.T_map_base)
+    log.pose("/scan", placed.T_map_level)
     if log.detail is Detail.MAP:
         return
     positions = rounded(placed.points_level)
@@ -146,14 +166,15 @@ def log_metrics(log: Log, stamp_ns: IntArray, index: IntArray, metrics: FloatArr
 def log_lidar(log: Log, place: int, topic: str) -> None:
     """Log which of several lidars the last scan is from. place: index among those labelled."""
     if log.detail is not Detail.MAP:
-        text = rr.TextDocument(f"This scan is from {topic}.")
-        log.now("/scan/lidar", text, evidence(place=np.array([place])))
+        text = f"This scan is from {topic}."
+        log.row("/scan/lidar", rr.TextDocument, {"place": np.array([place])}, text=[text])
 
 
 def log_skipped(log: Log, index: int, stamp_ns: int, reason: str) -> None:
     """Log that a cloud was skipped; the scan before it is no longer shown."""
-    log.message(f"scan {index} skipped: {reason}", stamp_ns, index)
-    log.now("/scan", rr.Clear(recursive=True))
+    log.at(stamp_ns, index)
+    log.message(f"scan {index} skipped: {reason}")
+    log.row("/scan", rr.Clear, is_recursive=[True])
 
 
 def log_final(
@@ -174,16 +195,15 @@ def log_final(
     label = relabelled.label
     changed = label != label_scan
     if changed.any():
-        log.now(entities.POINTS, rr.Points3D.from_fields(class_ids=label))
+        log.row(entities.POINTS, rr.Points3D, class_ids=label)
     of_returns = {
         entities.POINT_LABEL_SCAN: label_scan[changed],
         entities.POINT_REASON: relabelled.reason[changed],
         entities.POINT_OFF_FACE: relabelled.off_face_m[changed].astype(np.float16),
     }
-    log.now(
-        entities.RELABELLED,
-        rr.Points3D(rounded(points_level[changed]), class_ids=label[changed], radii=ui_radius(2.5)),
-        evidence(**of_returns),
+    positions = rounded(points_level[changed])
+    log.row(
+        entities.RELABELLED, rr.Points3D, of_returns, positions=positions, class_ids=label[changed]
     )
 
 
@@ -195,38 +215,36 @@ def _log_points(
     intensity: FloatArray | None,
 ) -> None:
     # Fig. 3 is the same cloud with other radii: a second cloud would need a third of the file.
-    horizontal = (labelling.label == Label.FLOOR) | (labelling.label == Label.CEILING)
-    radius = ui_radius(POINT_RADIUS_UI)
     of_returns = {
         entities.POINT_LABEL_SCAN: labelling.label,
         "measured_alone": ranges.correction_m == 0,
-        entities.POINT_RADIUS_UPRIGHT: np.where(horizontal, np.float32(0), radius),
+        entities.POINT_RADIUS_UPRIGHT: _RADIUS_UPRIGHT[labelling.label],
     }
     if intensity is not None:
         # Three digits, and integers up to 2048, within the range of half precision.
         limited = np.minimum(intensity, np.finfo(np.float16).max)
         of_returns["intensity"] = limited.astype(np.float16)
-    points = rr.Points3D(positions, class_ids=labelling.label, radii=radius)
-    log.now(entities.POINTS, points, evidence(**of_returns))
+    log.row(
+        entities.POINTS, rr.Points3D, of_returns, positions=positions, class_ids=labelling.label
+    )
 
 
 def _log_planes(log: Log, labelling: ScanLabelling) -> None:
     planes = labelling.planes
     if not len(planes):
-        log.now(entities.PLANES, rr.Clear(recursive=False))
+        log.row(entities.PLANES, rr.Clear, is_recursive=[False])
         return
     floor_m = labelling.floor.height_at(planes.ends.reshape(-1, 2)).reshape(-1, 2)
     bottom_m, top_m = floor_m + planes.bottom_m[:, None], floor_m + planes.top_m[:, None]
     vertices, triangles = upright_quads(planes.ends, bottom_m, top_m)
-    colors = np.array([_plane_color(plane) for plane in range(len(planes))], np.uint8)
-    mesh = rr.Mesh3D(
+    log.row(
+        entities.PLANES,
+        rr.Mesh3D,
+        evidence(planes, "normal", "offset_m", "rms_m", "line_count", "point_count"),
         vertex_positions=vertices,
         triangle_indices=triangles,
-        vertex_colors=np.repeat(colors, 4, axis=0),
-        albedo_factor=(255, 255, 255, SEE_THROUGH),
+        vertex_colors=_plane_colors(np.repeat(np.arange(len(planes)), 4)),
     )
-    of_planes = "normal", "offset_m", "rms_m", "line_count", "point_count"
-    log.now(entities.PLANES, mesh, evidence(planes, *of_planes))
 
 
 def _log_openings(log: Log, labelling: ScanLabelling) -> None:
@@ -239,9 +257,8 @@ def _log_openings(log: Log, labelling: ScanLabelling) -> None:
         )
     ]
     frames = upright_frames(openings.ends, floor_m, floor_m + openings.head_m)
-    of_openings = "plane", "head_m", "depth_m", "state", "line_count"
-    drawn = strips(frames, DOOR_COLOR, 3.0, labels)
-    log.now(entities.OPENINGS, drawn, evidence(openings, *of_openings))
+    of_openings = evidence(openings, "plane", "head_m", "depth_m", "state", "line_count")
+    log.row(entities.OPENINGS, rr.LineStrips3D, of_openings, strips=frames, labels=labels)
 
 
 def _log_horizontal(log: Log, positions: FloatArray, labelling: ScanLabelling) -> None:
@@ -251,69 +268,63 @@ def _log_horizontal(log: Log, positions: FloatArray, labelling: ScanLabelling) -
         ("/scan/floor", (labelling.floor,), Label.FLOOR),
         ("/scan/ceiling", labelling.ceilings, Label.CEILING),
     ):
-        seen = positions[label == own, :2]
+        x, y = positions[label == own, :2].T
         outlines = []
-        if len(seen):
-            (x0, y0), (x1, y1) = seen.min(axis=0), seen.max(axis=0)
+        if len(x):
+            x0, y0, x1, y1 = x.min(), y.min(), x.max(), y.max()
             ring = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
             outlines = [np.column_stack([ring, plane.height_at(ring)]) for plane in planes]
-        log.now(
-            path,
-            strips(outlines, CLASSES[own][1], 1.0),
-            evidence(
-                height_m=np.array([plane.height_m for plane in planes]),
-                slope=np.array([plane.slope for plane in planes]).reshape(-1, 2),
-                support=np.array([plane.support for plane in planes], np.int32),
-            ),
+        of_planes = evidence(
+            height_m=np.array([plane.height_m for plane in planes]),
+            slope=np.array([plane.slope for plane in planes]).reshape(-1, 2),
+            support=np.array([plane.support for plane in planes], np.int32),
         )
+        frames = np.array(outlines, np.float32).reshape(-1, 5, 3)
+        log.row(path, rr.LineStrips3D, of_planes, strips=frames)
 
 
 def _log_lines(log: Log, positions: FloatArray, labelling: ScanLabelling) -> None:
     samples = labelling.lines.samples
     present = np.flatnonzero(samples[:, 0] >= 0).astype(np.int32)
-    outcomes = np.array(line_outcomes(labelling), np.uint8)
     lines, owner = unbroken(positions[samples[present, ::_LINE_STEP]])
     line = present[owner]
-    outcome = outcomes[line]
-    drawn = rr.LineStrips3D(lines, class_ids=outcome, radii=ui_radius(0.75))
-    log.now("/scan/lines", drawn, evidence(line=line, outcome=outcome))
+    outcome = line_outcomes(labelling)[line]
+    of_strips = evidence(line=line, outcome=outcome)
+    log.row("/scan/lines", rr.LineStrips3D, of_strips, strips=lines, class_ids=outcome)
 
 
 def log_example(log: Log, positions: FloatArray, labelling: ScanLabelling, line: int) -> None:
     """Log one line alone, in space and as a curve, at the time that is set."""
     samples = labelling.lines.samples[[line]]
     present = samples[samples[:, 0] >= 0]
-    strip, _ = unbroken(rounded(positions[present]))
-    log.now("/scan/lines/example", strips(strip, _EXAMPLE_COLOR, 3.0))
+    strips, _ = unbroken(rounded(positions[present]))
+    log.row("/scan/lines/example", rr.LineStrips3D, strips=strips)
     log_line(log, labelling, line)
 
 
 def _log_candidates(log: Log, positions: FloatArray, labelling: ScanLabelling) -> None:
     """Log wall candidates in the order of Algorithm 1, and the bottom-most structures."""
     structures, planes = labelling.structures, labelling.planes
-    colors = np.array([_plane_color(plane) for plane in planes.candidate_plane], np.uint32)
-    rgba = colors.reshape(-1, 3) @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32) + np.uint32(255)
     growth = {
         "growth": planes.candidate_growth,
         "plane": planes.candidate_plane,
         "distance_m": planes.candidate_distance_m,
-        entities.CANDIDATE_PLANE_COLOR: rgba,
+        entities.CANDIDATE_PLANE_COLOR: _plane_colors(planes.candidate_plane),
     }
-    upmost, bottommost = planes.candidates.structure, structures.bottommost
-    reasons = candidate_reasons(labelling)
-    for path, chosen, more, color, labels in (
-        ("/scan/candidates/upmost", upmost, growth, entities.UPMOST_COLOR, reasons),
+    bottommost = structures.bottommost[structures.bottommost >= 0]
+    for path, chosen, more, labels in (
         (
-            *("/scan/candidates/bottommost", bottommost[bottommost >= 0]),
-            *({}, entities.BOTTOMMOST_COLOR, None),
+            *("/scan/candidates/upmost", planes.candidates.structure),
+            *(growth, {"labels": candidate_reasons(labelling)}),
         ),
+        ("/scan/candidates/bottommost", bottommost, {}, {}),
     ):
         line, first, last = (
             values[chosen] for values in (structures.line, structures.first, structures.last)
         )
         spans = _spans(positions, labelling.lines.samples, line, first, last)
-        drawn = strips(spans, color, 2.0, labels, show_labels=False)
-        log.now(path, drawn, evidence(line=line, first=first, last=last, **more))
+        of_spans = evidence(line=line, first=first, last=last, **more)
+        log.row(path, rr.LineStrips3D, of_spans, strips=spans, **labels)
 
 
 def _log_door_lines(log: Log, labelling: ScanLabelling) -> None:
@@ -322,23 +333,24 @@ def _log_door_lines(log: Log, labelling: ScanLabelling) -> None:
     floor_m = np.full(len(doors.line), labelling.floor.height_m)
     top_m = structures.top_m[structures.upmost[doors.line]] + floor_m
     held = 1 + doors.behind.astype(np.uint8) + above
-    points = rr.Points3D(
-        rounded(np.column_stack([doors.position, top_m])),
+    names = "line", "plane", "start_height_m", "depth_m", "state"
+    of_lines = evidence(doors, *names, conditions_held=held)
+    log.row(
+        "/scan/doors/conditions",
+        rr.Points3D,
+        of_lines,
+        positions=rounded(np.column_stack([doors.position, top_m])),
         class_ids=held,
         labels=door_reasons(labelling),
-        show_labels=False,
-        radii=ui_radius(5.0),
     )
-    of_lines = "line", "plane", "start_height_m", "depth_m", "state"
-    log.now("/scan/doors/conditions", points, evidence(doors, *of_lines, conditions_held=held))
     below = np.empty((np.count_nonzero(above), 2, 3), np.float32)
     below[:, :, :2] = doors.position[above, None]
     below[:, :, 2] = floor_m[above, None] + np.outer(doors.start_height_m[above], [0, 1])
-    log.now("/scan/doors/lines", strips(below, DOOR_COLOR, 1.5))
+    log.row("/scan/doors/lines", rr.LineStrips3D, strips=below)
 
 
-def _plane_color(plane: int) -> Color:
-    return _PLANE_COLORS[plane % len(_PLANE_COLORS)] if plane >= 0 else _REFUSED_CANDIDATE_COLOR
+def _plane_colors(plane: IntArray) -> IntArray:
+    return np.where(plane < 0, _REFUSED_COLOR, _PLANE_COLORS[plane % len(_PLANE_COLORS)])
 
 
 def _example_line(labelling: ScanLabelling) -> int:

@@ -18,7 +18,6 @@ Labels = str | Sequence[str] | None
 
 GRID_M = 1.0 / 256.0
 """Grid (m) of rounded positions, finer than the noise of a lidar: rounded positions compress."""
-POINT_RADIUS_UI = 1.5
 JUMP_M = 0.4
 """Distance (m) between neighbours of a line beyond which the line is interrupted."""
 SEE_THROUGH = 90
@@ -41,17 +40,14 @@ def transform(T_parent_child: FloatArray) -> rr.Transform3D:
     return rr.Transform3D.from_fields(translation=T_parent_child[:3, 3], quaternion=quaternion)
 
 
-def transform_columns(T_parent_child: FloatArray) -> rr.ComponentColumnList:
-    """Return transforms (n, 4, 4) as rows of an entity."""
-    return rr.Transform3D.columns(
-        translation=T_parent_child[:, :3, 3],
-        quaternion=transforms.quaternion_xyzw(T_parent_child),
-    )
-
-
 def rounded(positions_m: FloatArray) -> FloatArray:
     grid = np.rint(positions_m.astype(np.float32) * np.float32(1.0 / GRID_M))
     return np.asarray(grid * np.float32(GRID_M))
+
+
+def packed_colors(*colors: Color) -> IntArray:
+    """Return colours (n,) as Rerun packs them into integers."""
+    return np.array([(r << 24) | (g << 16) | (b << 8) | 255 for r, g, b in colors], np.uint32)
 
 
 def ui_radius(points: float) -> np.float32:
@@ -68,8 +64,24 @@ def strips(
 ) -> rr.LineStrips3D:
     """Return lines in space, their radius in the viewer's points."""
     radii = ui_radius(radius_ui)
-    return rr.LineStrips3D(
-        lines, colors=color, radii=radii, labels=labels, show_labels=show_labels
+    return rr.LineStrips3D(lines, colors=color, radii=radii, labels=labels, show_labels=show_labels)
+
+
+def strip_style(
+    color: Color | None, radius_ui: float, show_labels: bool | None = None
+) -> rr.LineStrips3D:
+    """Return how the lines of an entity are drawn, their radius in the viewer's points."""
+    return rr.LineStrips3D.from_fields(
+        colors=color, radii=ui_radius(radius_ui), show_labels=show_labels
+    )
+
+
+def strip_style_2d(
+    color: Color, radius_ui: float, order: float, show_labels: bool | None = None
+) -> rr.LineStrips2D:
+    """Return how the lines of an entity on a plane are drawn."""
+    return rr.LineStrips2D.from_fields(
+        colors=color, radii=ui_radius(radius_ui), draw_order=order, show_labels=show_labels
     )
 
 

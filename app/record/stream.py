@@ -23,66 +23,101 @@ from ffmap.loaders.text_files import dotted_keys
 rr.set_strict_mode(True)
 
 _one_at_a_time = threading.RLock()
+_RERUN = "import sys; from rerun_cli.__main__ import main; sys.exit(main())"
+"""`python -m rerun` takes half a second for its imports, `python -m rerun_cli` always returns 0."""
 _STARTS_S, _OPENS_WINDOW_S = 20.0, 1.0
 
 
 class Recording:
     """A run's recording: what its own process logs into `stream`, and the parts from workers.
 
-    The file is readable at any time. `finish` adds the footer, which queries need.
+    A viewer receives everything at once. `finish` writes the file.
     """
 
     def __init__(
         self,
         path: Path | None,
+        spool: Path,
         recording_id: str,
-        blueprint: rrb.Blueprint,
+        layout: rrb.Blueprint,
         connect_url: str | None = None,
         say: Callable[[str], None] = print,
     ) -> None:
         """Open the recording.
 
-        path: file to write; None for a viewer alone. connect_url: of a viewer, see `start_viewer`.
-        say: prints a line if the viewer ends before the run.
+        path: file to write; None for a viewer alone. spool: folder of parts.
+        connect_url: of a viewer, see `start_viewer`. say: prints a line if the viewer ends before
+        the run.
         Raises ConnectionError if no viewer listens at connect_url.
         """
-        sinks: list[rr.FileSink | rr.GrpcSink] = []
+        self._path, self._spool, self._id = path, spool, recording_id
+        self._layout, self._say = layout, say
+        self._viewer: rr.RecordingStream | None = None
+        self._parts = [spool / "own.rrd"] if path is not None else []
+        sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(own) for own in self._parts]
         if connect_url is not None:
             check_viewer(connect_url)
             sinks.append(rr.GrpcSink(connect_url))
+            # The layout and the parts are not written to the own part.
+            self._viewer = _new_stream(recording_id, send_properties=False)
+            self._viewer.connect_grpc(connect_url)
         if path is not None:
             path.unlink(missing_ok=True)
-            sinks.append(rr.FileSink(path))
-        self._viewer_listens, self._say = connect_url is not None, say
         self.stream = _new_stream(recording_id, send_properties=True)
         self.stream.set_sinks(*sinks)
-        self.set_layout(blueprint)
+        self.set_layout(layout)
 
-    def set_layout(self, blueprint: rrb.Blueprint) -> None:
+    def set_layout(self, layout: rrb.Blueprint) -> None:
         """Replace the layout of the recording."""
-        # A viewer keeps the layout that it shows if only the default changes.
-        active = self._viewer_listens
-        self.stream.send_blueprint(blueprint, make_active=active, make_default=True)
+        self._layout = layout
+        if self._viewer is not None:
+            # A viewer keeps the layout that it shows if only the default changes.
+            self._viewer.send_blueprint(layout, make_active=True, make_default=True)
 
     def add(self, part: Path) -> None:
         """Add a part from a worker."""
-        _send_chunks(self.stream, part)
-        self.cut()
+        if self._path is not None:
+            self._parts.append(part)
+        if self._viewer is not None:
+            reader = RrdReader(part)
+            # A file without chunks holds no recording.
+            for entry in reader.recordings():
+                self._viewer.send_chunks(reader.stream(store=entry))
 
-    def cut(self) -> None:
-        """Write all logged data; a kill loses only later data."""
+    def flush(self) -> None:
+        """Write all logged data."""
         try:
             self.stream.flush()
+            if self._viewer is not None:
+                self._viewer.flush()
         except RuntimeError:
             # The file is still written: closing the viewer must not end the run.
-            if self._viewer_listens:
+            if self._viewer is not None:
                 self._say("The viewer has ended. The run continues without it.")
-            self._viewer_listens = False
+            self._viewer = None
 
     def finish(self) -> None:
-        """Complete the file; nothing can be logged any more."""
-        self.cut()
+        """Complete the recording; nothing can be logged any more."""
+        self.flush()
         self.stream.disconnect()
+        if self._viewer is not None:
+            self._viewer.disconnect()
+        if self._path is not None:
+            join(self._path, self._id, self._layout, self._parts)
+
+
+def join(out: Path, recording_id: str, layout: rrb.Blueprint, parts: Sequence[Path]) -> None:
+    """Join parts of a recording to one file with a layout, by Rerun's tool: nothing is decoded."""
+    # The layout is a part of its own: Rerun cannot join files with both a layout and data.
+    of_layout = parts[0].with_name("layout.rrd")
+    with open_part(of_layout, recording_id, layout):
+        pass
+    with written_whole(out) as joined:
+        files = [str(path.resolve()) for path in (joined, of_layout, *parts)]
+        command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", *files]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise OSError(f"{out}: the parts of the recording cannot be joined: {done.stderr}")
 
 
 @contextmanager
@@ -122,20 +157,6 @@ def _new_stream(recording_id: str, send_properties: bool) -> rr.RecordingStream:
     )
     stream.set_log_time_enabled(False)
     return stream
-
-
-def send_part(stream: rr.RecordingStream, part: Path) -> None:
-    """Send the content of a recording file, without its layout, to a stream into a file."""
-    _send_chunks(stream, part)
-    # Else many parts are in memory at once.
-    stream.flush()
-
-
-def _send_chunks(stream: rr.RecordingStream, part: Path) -> None:
-    reader = RrdReader(part)
-    # A file without chunks holds no recording.
-    for entry in reader.recordings():
-        stream.send_chunks(reader.stream(store=entry))
 
 
 def send_properties(stream: rr.RecordingStream, name: str, values: Mapping[str, Any]) -> None:

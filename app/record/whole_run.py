@@ -17,7 +17,7 @@ from ffmap.algorithms.maps.grid import GridMap
 from ffmap.app.folder.record import FROM_ODOMETRY
 from ffmap.app.record.log import Log
 from ffmap.app.record.odometry import log_odometry_styles
-from ffmap.app.record.scans import log_scan_classes
+from ffmap.app.record.scans import log_scan_styles
 from ffmap.app.record.shapes import annotations, rounded, transform, ui_radius, words
 from ffmap.app.record.tables import table
 from ffmap.app.setup.outputs import Detail
@@ -70,7 +70,7 @@ def log_static(
         log.static(f"/world/base/{role}", transform(T_base_sensor), rr.TransformAxes3D(0.3))
     log_odometry_styles(log)
     if slope_max is not None:
-        log_scan_classes(log, slope_max)
+        log_scan_styles(log, slope_max)
 
 
 def _with_pointer(glance: str) -> str:

@@ -10,7 +10,7 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.poses.levelling import Level
 from ffmap.algorithms.poses.odometry import Registration, weakness
-from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations
+from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registration
 from ffmap.app.run.given_poses import GivenPoses
 from ffmap.app.run.odometry import Odometry, run_odometry
 from ffmap.app.run.odometry_cache import CACHE_VARIABLE, cache_folder
@@ -21,7 +21,8 @@ from ffmap.app.setup.settings import Settings
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.scans import SkippedScan
 
-_LOGGED_AT_ONCE = 50
+_FLUSHED_AFTER = 50
+"""Number of registrations after which a viewer receives them."""
 _MARGIN_NS = 1_000_000_000
 """Time (ns) before and after some scans in which poses are passed to their worker."""
 
@@ -80,7 +81,7 @@ def estimate_poses(
         )
     level = level_by_first_scans(inputs, odometry.registered, settings)
     if log is not None and report is not None:
-        log.flush()
+        report.flush()
         _report_odometry(inputs, odometry, level, log.weak, report)
         _log_loops(odometry, level, report)
     T = level.T_map_odom
@@ -89,42 +90,33 @@ def estimate_poses(
 
 
 class _RegistrationLog:
-    """Records registrations, many at once: one by one they would cost more than all else.
-
-    weak: why some are weak.
-    """
+    """Records registrations. weak: why some are weak."""
 
     def __init__(self, sensor: Sensor, report: Report) -> None:
         self.weak: list[str] = []
         self._sensor, self._report = sensor, report
-        self._waiting: list[Registration] = []
-        self._first = True
-        self._done = 0
+        self._count = self._done = 0
         report.progress.stage("odometry", len(sensor.index))
 
     def add(self, registration: Registration) -> None:
-        if self._first and self._report.log:
-            # The base's first pose, until the map is level.
-            stamp_ns, T = np.array([registration.stamp_ns]), self._sensor.lidar.T_base_sensor
-            log_odometry_frame(self._report.log, stamp_ns, T[None])
-        self._first = False
-        self._waiting.append(registration)
+        why_weak = weakness(registration)
+        if why_weak is not None:
+            self.weak.append(why_weak)
+        if self._report.log:
+            if not self._count:
+                # The base's first pose, until the map is level.
+                stamp_ns, T = np.array([registration.stamp_ns]), self._sensor.lidar.T_base_sensor
+                log_odometry_frame(self._report.log, stamp_ns, T[None])
+            log_registration(self._report.log, registration, why_weak)
+        self._count += 1
+        if self._count % _FLUSHED_AFTER == 0:
+            self._report.flush()
         # Scans between two poses are left out.
         self._report.progress.advance(registration.index + 1 - self._done)
         self._done = registration.index + 1
-        if len(self._waiting) == _LOGGED_AT_ONCE:
-            self.flush()
 
     def check_failed(self, failed: Sequence[SkippedScan]) -> None:
         self._report.check_failed(failed, len(self._sensor.index), "registration")
-
-    def flush(self) -> None:
-        why_weak = [weakness(registration) for registration in self._waiting]
-        if self._report.log:
-            log_registrations(self._report.log, self._waiting, why_weak)
-            self._report.flush()
-        self.weak += [why for why in why_weak if why is not None]
-        self._waiting = []
 
 
 def _report_odometry(

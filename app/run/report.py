@@ -93,6 +93,7 @@ class Report:
         try:
             self._recording = Recording(
                 run.folder / RECORDING if save else None,
+                run.spool,
                 self.record.recording_id,
                 self._layout(),
                 options.connect,
@@ -125,11 +126,13 @@ class Report:
         """Add a worker's part to the recording."""
         if self._recording is not None and part.exists():
             self._recording.add(part)
+            self.flush()
 
     def flush(self) -> None:
-        """Append to the recording's file; a kill loses only later data."""
-        if self._recording is not None:
-            self._recording.cut()
+        """Send what was logged to a viewer, and write it to a file."""
+        if self.log is not None and self._recording is not None:
+            self.log.send_rows()
+            self._recording.flush()
 
     def show_map(self, grid: GridMap) -> None:
         """Show the whole map when the recording is opened."""
@@ -154,6 +157,7 @@ class Report:
                 result = self.record.as_json(*_RESULT) | {"bag_digest": self.record.bag.digest}
                 send_properties(self.log.stream, "result", result)
                 log_warnings(self.log, self._warnings)
+                self.flush()
                 self._recording.finish()
         finally:
             self.add(files=written_files(self._run.folder))

@@ -36,6 +36,7 @@ def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LI
     recording = start(folder, "run-1")
     log = Log(recording.stream, detail)
     log_static(log, {"vertical": synthetic.T_BASE_SENSOR}, explain({}), 1.0)
+    log.send_rows()
     send_properties(log.stream, "settings", {"wall_planes": {"similarity_m": 0.05}, "name": None})
     for first in (0, 2):
         block = folder / f"{first:04d}.rrd"
@@ -47,7 +48,9 @@ def write_run(folder: Path, labelled: list[Labelled], detail: Detail = Detail.LI
 
 def start(folder: Path, recording_id: str, *viewer: Any) -> Recording:
     """viewer: its URL, and who prints that it has ended; none if omitted."""
-    return Recording(folder / "recording.rrd", recording_id, run_blueprint.build(), *viewer)
+    (folder / "spool").mkdir(exist_ok=True)
+    path, layout = folder / "recording.rrd", run_blueprint.build()
+    return Recording(path, folder / "spool", recording_id, layout, *viewer)
 
 
 def rows(path: Path, entity: str, index: str = SCAN_TIMELINE) -> Iterator[dict[str, Any]]:

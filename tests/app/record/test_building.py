@@ -165,6 +165,7 @@ def test_map_trajectory_and_messages(tmp_path):
     log_trajectory(log, stamps, synthetic.trajectory(3).T_map_base, np.arange(3))
     log_map_block(log, 2, int(stamps[2]), np.ones((4, 3)), np.array([1, 2, 2, 3], np.uint8))
     log_skipped(log, 1, int(stamps[1]), "all returns invalid")
+    log.send_rows()
     recording.set_layout(run_blueprint.build(True, (0.0, 0.0), 5.0))
     recording.finish()
     image = static(path)[f"{entities.GRID}/{entities.FURNITURE_FREE}"]["data"][0][0]

@@ -52,7 +52,7 @@ def test_every_candidate_and_door_line_has_its_reason(usual: ScanLabelling) -> N
 def test_lines_are_explained_by_their_conditions(usual: ScanLabelling) -> None:
     reasons = explain_lines(usual)
     assert [reason.line for reason in reasons] == list(range(2 * synthetic.RINGS))
-    assert [reason.outcome for reason in reasons] == line_outcomes(usual)
+    assert [reason.outcome for reason in reasons] == line_outcomes(usual).tolist()
     documents = [line_document(usual, reason) for reason in reasons]
     for reason, document in zip(reasons, documents, strict=True):
         met = {condition.name: condition.met for condition in reason.conditions}

@@ -8,7 +8,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.poses.odometry import Registration
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.record.log import Log
-from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registrations
+from ffmap.app.record.odometry import log_odometry_frame, log_pose_graph, log_registration
 from ffmap.blueprints.entities import SCAN_TIMELINE, STAMP_TIMELINE
 from tests import synthetic
 from tests.app.record.recordings import rows, start, static, vectors
@@ -52,7 +52,10 @@ def test_registrations_have_the_scan_of_the_first_cloud_that_is_not_older(
     tmp_path, clouds_ns, scans
 ):
     recording, path = start(tmp_path, "run-3"), tmp_path / "recording.rrd"
-    log_registrations(Log(recording.stream, scan_stamps_ns=clouds_ns), registrations(), WEAK)
+    log = Log(recording.stream, scan_stamps_ns=clouds_ns)
+    for registration, weak in zip(registrations(), WEAK, strict=True):
+        log_registration(log, registration, weak)
+    log.send_rows()
     recording.finish()
     timelines = {
         name
@@ -98,6 +101,7 @@ def test_loops_are_drawn_where_the_solved_poses_are(tmp_path):
     T_map_odom = transforms.make_transform(translation=[0.0, 0.0, 2.0])
     log_odometry_frame(log, stamps_ns, T_map_odom @ shift)
     log_pose_graph(log, graph, T_map_odom, stamps_ns, 0.1 * np.arange(4))
+    log.send_rows()
     recording.finish()
     frames = [vectors(r["translation"])[0] for r in rows(path, "/world/odometry", STAMP_TIMELINE)]
     np.testing.assert_allclose(frames, [[0.0, 0.1 * i, 2.0] for i in range(4)], atol=1e-6)

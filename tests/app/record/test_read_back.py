@@ -21,9 +21,11 @@ def recording(tmp_path: Path) -> Path:
     with open_part(path, "cut-1") as stream:
         stream.log("/scan/points", rr.Points3D.from_fields(radii=1.0), static=True)
         for scan in range(ROWS):
-            Log(stream).at(1_000_000_000 + scan, scan)
-            stream.log("/scan/points", rr.Points3D(np.full((scan, 3), scan, np.float32)))
-            stream.flush()
+            log = Log(stream)
+            log.at(1_000_000_000 + scan, scan)
+            points = np.full((scan, 3), scan, np.float32)
+            log.row("/scan/points", rr.Points3D, positions=points)
+            log.send_rows()
     return path
 
 

@@ -107,8 +107,8 @@ def test_planes_candidates_and_doors_have_their_evidence(recording, labelled):
         np.testing.assert_allclose(vectors(planes["normal"]), found.normal, atol=1e-6)
         np.testing.assert_allclose(planes["offset_m"], found.offset_m, atol=1e-5)
         np.testing.assert_array_equal(openings["line_count"], labelling.openings.line_count)
-        # The viewer takes only the opacity of the factor.
-        assert planes["albedo_factor"][0] & 0xFF < 128
+    # The viewer takes only the opacity of the factor.
+    assert static(recording)[PLANES]["albedo_factor"][0][0] & 0xFF < 128
 
 
 def test_metrics_are_on_their_scans(tmp_path, labelled):
@@ -160,6 +160,7 @@ def test_final_labels_replace_those_of_the_scan(tmp_path, labelled):
     reason, off_face_m = np.where(changed, 9, 0).astype(np.uint8), np.full(len(final), 0.25)
     relabelled = Relabelled(final, reason, off_face_m)
     log_final(log, 0, stamp_ns, level.placed.points_level, labelling.label, relabelled)
+    log.send_rows()
     recording.finish()
     path = tmp_path / "recording.rrd"
     np.testing.assert_array_equal(list(rows(path, POINTS))[-1]["class_ids"], final)

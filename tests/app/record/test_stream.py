@@ -8,12 +8,19 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from ffmap.app.record.log import Log, open_log
-from ffmap.app.record.stream import Recording, open_part, send_part
+from ffmap.app.record.stream import Recording, open_part
 from ffmap.blueprints import run as run_blueprint
 from ffmap.blueprints.entities import POINTS, STAMP_TIMELINE
 from tests import synthetic
 from tests.app.record.recordings import rows, start, write_block
 from tests.receiver import receiving, shown
+
+
+def log_message(recording, text, scan):
+    log = Log(recording.stream)
+    log.at(synthetic.stamp_ns(scan))
+    log.message(text)
+    log.send_rows()
 
 
 def chunks(path):
@@ -41,56 +48,58 @@ def test_a_part_that_fails_leaves_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_a_kill_leaves_can_be_read(tmp_path, labelled):
+def test_rows_of_the_run_and_of_its_workers_are_in_one_file(tmp_path, labelled):
     recording = start(tmp_path, "run-1")
-    Log(recording.stream).message("before the block", synthetic.stamp_ns(0))
+    log_message(recording, "before the block", 0)
     write_block(tmp_path / "block.rrd", labelled, 0, 2)
-    recording.add(tmp_path / "block.rrd")
-    Log(recording.stream).message("after it", synthetic.stamp_ns(1))
-    killed = tmp_path / "killed.rrd"
-    killed.write_bytes((tmp_path / "recording.rrd").read_bytes())
-    recording.set_layout(run_blueprint.build())
-    recording.finish()
-
-    with pytest.warns(rr.error_utils.RerunWarning, match="no footer"):
-        left = {chunk.entity_path for chunk in RrdReader(killed).stream()}
-    assert {POINTS, "/messages"} <= left
-    finished = tmp_path / "recording.rrd"
-    assert len(RrdReader(finished).recordings()) == 1
-    texts = [str(row["text"][0]) for row in rows(finished, "/messages", STAMP_TIMELINE)]
-    assert texts == ["before the block", "after it"]
-    store = RrdReader(finished).store().stream()
-    assert sum(chunk.entity_path == POINTS for chunk in store) == 1
-
-
-def test_parts_are_joined_to_a_file_with_its_layout(tmp_path, labelled):
-    parts = [tmp_path / f"{block:04d}.rrd" for block in range(3)]
-    for block, part in enumerate(parts):
-        write_block(part, labelled, block, 1)
     with open_part(tmp_path / "empty.rrd", "run-1"):
         pass
-    out = tmp_path / "joined.rrd"
-    with open_log(out, "run-1", layout=run_blueprint.build()) as log:
-        for part in (*parts, tmp_path / "empty.rrd"):
-            send_part(log.stream, part)
-    assert chunks(out) == set.union(*map(chunks, parts))
-    assert len(RrdReader(out).blueprints()) == 1
+    for part in ("block.rrd", "empty.rrd"):
+        recording.add(tmp_path / part)
+    log_message(recording, "after it", 1)
+    recording.set_layout(run_blueprint.build())
+    recording.finish()
+    finished = tmp_path / "recording.rrd"
+    assert len(RrdReader(finished).recordings()) == len(RrdReader(finished).blueprints()) == 1
+    texts = [str(row["text"][0]) for row in rows(finished, "/messages", STAMP_TIMELINE)]
+    assert texts == ["before the block", "after it"]
+    assert [row["scan"] for row in rows(finished, POINTS)] == [0, 1]
+    # A run that is killed leaves its parts only, with which it is resumed.
+    assert "own.rrd" in {part.name for part in (tmp_path / "spool").iterdir()}
+
+
+def test_rows_are_sent_together_until_they_are_large(tmp_path):
+    with open_log(tmp_path / "block.rrd", "run-1") as log:
+        for scan in range(6):
+            log.at(synthetic.stamp_ns(scan), scan)
+            log.row("/small", rr.Points3D, {"more": np.zeros(scan)}, positions=np.ones((scan, 3)))
+            log.row("/large", rr.Points3D, positions=np.ones((30_000, 3), np.float32))
+        log.row("/small", rr.Clear, is_recursive=[False])
+    found = [c for c in RrdReader(tmp_path / "block.rrd").stream() if not c.is_static]
+    assert sum(chunk.entity_path == "/small" for chunk in found) == 2
+    assert [c.num_rows for c in found if c.entity_path == "/large"] == [3, 3]
+    small = [c.to_record_batch().to_pydict() for c in found if c.entity_path == "/small"]
+    assert [len(more) for more in small[0]["more"]] == [0, 1, 2, 3, 4, 5]
+    assert [len(xyz) for xyz in small[0]["Points3D:positions"]] == [0, 1, 2, 3, 4, 5]
+    assert small[0]["scan"] == [0, 1, 2, 3, 4, 5]
 
 
 def test_a_file_that_is_no_recording_is_an_error(tmp_path):
     recording = start(tmp_path, "run-10")
     (tmp_path / "block.rrd").write_bytes(b"not a recording at all")
-    with pytest.raises(RuntimeError, match="Not an RRD"):
-        recording.add(tmp_path / "block.rrd")
+    recording.add(tmp_path / "block.rrd")
+    with pytest.raises(OSError, match="cannot be joined"):
+        recording.finish()
+    assert not list(tmp_path.glob("recording.rrd*"))
 
 
 def test_a_viewer_receives_every_chunk_and_the_last_layout(tmp_path, labelled):
     with receiving(tmp_path / "seen.rrd") as viewer:
         recording = start(tmp_path, "run-1", viewer.url)
-        recording.cut()
+        recording.flush()
         write_block(tmp_path / "block.rrd", labelled, 0, 2)
         recording.add(tmp_path / "block.rrd")
-        Log(recording.stream).message("the end", synthetic.stamp_ns(1))
+        log_message(recording, "the end", 1)
         recording.set_layout(run_blueprint.build(evaluated=True))
         recording.finish()
         assert viewer.holds(tmp_path / "recording.rrd")
@@ -103,10 +112,10 @@ def test_a_viewer_that_ends_does_not_end_the_run(tmp_path):
     with receiving(tmp_path / "seen.rrd") as viewer:
         recording = start(tmp_path, "run-11", viewer.url, printed.append)
         for number in range(4):
-            Log(recording.stream).message(f"part {number}", synthetic.stamp_ns(number))
+            log_message(recording, f"part {number}", number)
             if number == 2:
                 viewer.end()
-            recording.cut()
+            recording.flush()
         recording.set_layout(run_blueprint.build())
         recording.finish()
     assert printed == ["The viewer has ended. The run continues without it."]
@@ -119,4 +128,4 @@ def test_a_viewer_that_is_not_there_is_an_error_and_not_a_wait(tmp_path):
         probe.bind(("127.0.0.1", 0))
         url = f"rerun+http://127.0.0.1:{probe.getsockname()[1]}/proxy"
     with pytest.raises(ConnectionError, match="no Rerun viewer"):
-        Recording(tmp_path / "run.rrd", "run-8", run_blueprint.build(), url)
+        Recording(tmp_path / "run.rrd", tmp_path, "run-8", run_blueprint.build(), url)
