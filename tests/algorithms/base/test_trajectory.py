@@ -1,4 +1,4 @@
-"""Poses between stamps."""
+"""Transforms, and poses between stamps."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,18 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.trajectory import Trajectory, gaps
+
+
+def test_quaternions_and_headings_there_and_back() -> None:
+    generator = np.random.default_rng(1)
+    for turn in Rotation.from_rotvec(generator.uniform(-4.0, 4.0, (50, 3))):
+        T = transforms.make_transform(turn, generator.uniform(-1e3, 1e3, 3))
+        quaternion = transforms.quaternion_xyzw(T)
+        assert quaternion[3] >= 0
+        np.testing.assert_allclose(transforms.from_quaternion(T[:3, 3], quaternion), T, atol=1e-9)
+        np.testing.assert_allclose(transforms.invert(T) @ T, np.eye(4), atol=1e-9)
+    for yaw_rad in np.linspace(-3.1, 3.1, 9).tolist():
+        assert transforms.yaw_of(transforms.from_yaw(yaw_rad, [0.0] * 3)) == pytest.approx(yaw_rad)
 
 
 def test_interpolation_agrees_with_scipy() -> None:

@@ -1,4 +1,4 @@
-"""Properties that hold for any input: transforms; floor, ceilings and labels of wild scans."""
+"""Properties that hold for any input: floor, ceilings and labels of wild scans."""
 
 from collections import Counter
 from dataclasses import replace
@@ -37,39 +37,6 @@ def points(count_max: int, reach_m: float) -> st.SearchStrategy[np.ndarray]:
     return st.integers(0, count_max).flatmap(
         lambda n: arrays.arrays(np.float32, (n, 3), elements=within)
     )
-
-
-@st.composite
-def rigid(draw: st.DrawFn) -> np.ndarray:
-    turn = [draw(reals(-4.0, 4.0)) for _ in range(3)]
-    return transforms.make_transform(
-        Rotation.from_rotvec(turn), [draw(reals(-1e3, 1e3)) for _ in range(3)]
-    )
-
-
-class TestTransforms:
-    @seeded
-    @given(T=rigid(), other=rigid())
-    def test_inverses_and_products(self, T: np.ndarray, other: np.ndarray) -> None:
-        p = np.random.default_rng(0).normal(0, 50.0, (8, 3))
-        moved = transforms.apply(T, p)
-        np.testing.assert_allclose(transforms.apply(transforms.invert(T), moved), p, atol=1e-9)
-        twice = transforms.apply(T, transforms.apply(other, p))
-        np.testing.assert_allclose(twice, transforms.apply(T @ other, p), atol=1e-9)
-        stack = transforms.invert(np.stack([T, other]))
-        np.testing.assert_allclose(stack, np.linalg.inv(np.stack([T, other])), atol=1e-9)
-
-    @seeded
-    @given(T=rigid(), yaw_rad=reals(-3.1, 3.1))
-    def test_quaternions_and_headings_there_and_back(self, T: np.ndarray, yaw_rad: float) -> None:
-        quaternion = transforms.quaternion_xyzw(T)
-        assert quaternion[3] >= 0
-        assert np.linalg.norm(quaternion) == pytest.approx(1)
-        np.testing.assert_allclose(transforms.from_quaternion(T[:3, 3], quaternion), T, atol=1e-9)
-        turned = transforms.from_yaw(yaw_rad, T[:3, 3].tolist())
-        assert transforms.yaw_of(turned) == pytest.approx(yaw_rad, abs=1e-9)
-        np.testing.assert_array_equal(turned[:3, 3], T[:3, 3])
-        np.testing.assert_allclose(turned[2, :3], [0, 0, 1], atol=1e-12)
 
 
 @st.composite
