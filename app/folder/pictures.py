@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 import shapely.affinity
-from skimage.measure import block_reduce
 
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import turned
@@ -62,14 +61,6 @@ _AGREEMENTS = {
     Agreement.FREE: "free",
     Agreement.NOTHING: "unknown",
 }
-_BY_PRIORITY = (
-    Agreement.NOTHING,
-    Agreement.FREE,
-    Agreement.BOTH,
-    Agreement.ONLY_REFERENCE,
-    Agreement.ONLY_MAP,
-)
-"""Where several cells share a pixel, the last of these is drawn."""
 _DPI, _MAP_PX, _ROOMS_PX = 100, 1200, 1600
 
 
@@ -97,7 +88,7 @@ def write_floor_plan(path: Path, plan: FloorPlan, title: str) -> None:
             else:
                 axes.add_line(Line2D(*part.xy, **own))
     for room in plan.rooms:
-        place = turned(np.array(room.polygon.representative_point().coords[0]), -plan.direction_deg)
+        place = turned(room_middle(room), -plan.direction_deg)
         _write_name(axes, place, room.name, room.area_m2, 8.0)
     _draw_foot(axes, title, plan.direction_deg, float(low_x) + 0.6, float(low_y))
     _save(path, figure)
@@ -178,7 +169,7 @@ def write_overlays(path: Path, compared: ComparedMaps, direction_deg: float) -> 
     for axes in panels[len(compared) :]:
         axes.axis("off")
     for (name, one), axes in zip(compared.items(), panels, strict=False):
-        _draw_overlay(axes, one, direction_deg, _MAP_PX / size_m.max())
+        _draw_overlay(axes, one, direction_deg)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set_title(f"{MAP_TITLES[name]}\n{_figures(one)}", fontsize=22)
     found = set(np.unique(np.concatenate([np.unique(c.agreement) for c in compared.values()])))
@@ -194,24 +185,14 @@ def write_overlays(path: Path, compared: ComparedMaps, direction_deg: float) -> 
     _save(path, figure)
 
 
-def _draw_overlay(axes: "Axes", one: ComparedMap, direction_deg: float, px_per_m: float) -> None:
+def _draw_overlay(axes: "Axes", one: ComparedMap, direction_deg: float) -> None:
     from matplotlib.transforms import Affine2D
 
-    grid = one.grid
-    factor = max(1, math.ceil(2.0 / (px_per_m * grid.cell_m)))
-    agreement = coarsened(one.agreement, factor)
     colours = np.array([entities.AGREEMENTS[kind][1] for kind in Agreement], np.uint8)
     turn = Affine2D().rotate_deg(-direction_deg) + axes.transData
-    _show(axes, colours[agreement], grid.origin, factor * grid.cell_m, transform=turn)
+    _show(axes, colours[one.agreement], one.grid, transform=turn)
     axes.set_facecolor(tuple(colours[Agreement.NOTHING] / 255))
     axes.tick_params(labelsize=14)
-
-
-def coarsened(agreement: UInt8Array, factor: int) -> UInt8Array:
-    """Enlarge cells by `factor`; each shows the agreement of highest priority in it."""
-    rank = np.argsort(_BY_PRIORITY).astype(np.uint8)
-    highest = block_reduce(rank[agreement], factor, np.max)  # type: ignore[no-untyped-call]
-    return np.asarray(np.array(_BY_PRIORITY, np.uint8)[highest])
 
 
 def _figures(one: ComparedMap) -> str:
@@ -230,32 +211,27 @@ def write_rooms_picture(path: Path, grid: GridMap, graph: AreaGraph) -> None:
     size_m = grid.cell_m * np.array(grid.cells.shape[::-1])
     inches_per_m = _ROOMS_PX / _DPI / float(size_m.max())
     figure, axes = _page(grid.origin, size_m, inches_per_m)
-    _show(axes, np.repeat(grid.cells[..., None], 3, axis=2), grid.origin, grid.cell_m)
+    _show(axes, np.repeat(grid.cells[..., None], 3, axis=2), grid)
     for index, room in enumerate(graph.rooms):
         red, green, blue = (value / 255 for value in room_color(index))
         style = {"fc": (red, green, blue, 0.65), "ec": "#282c34", "lw": 0.8}
         axes.add_patch(patch_from_polygon(room.polygon, **style))
         size = float(np.clip(0.16 * np.sqrt(room.area_m2) * inches_per_m * 72, 6.5, 19))
-        _write_name(axes, np.array(inner_point(room)), room.name, room.area_m2, size)
+        _write_name(axes, room_middle(room), room.name, room.area_m2, size)
     for passage in graph.passages:
         axes.plot(*passage.line.T, color="#d62828", lw=2.0)
     _save(path, figure)
+
+
+def room_middle(room: Room) -> FloatArray:
+    """Find a place (2,) in a room for its name."""
+    return np.array(room.polygon.representative_point().coords[0])
 
 
 def room_color(index: int) -> entities.Color:
     """Choose a hue by the golden angle, so that neighbours in the list differ."""
     red, green, blue = colorsys.hsv_to_rgb((0.58 + index * 0.381966) % 1.0, 0.55, 0.92)
     return round(255 * red), round(255 * green), round(255 * blue)
-
-
-def inner_point(room: Room) -> tuple[float, float]:
-    """Find a place for the room's name: its centroid if that has space, else the roomiest point."""
-    widest = shapely.maximum_inscribed_circle(room.polygon, 0.05)
-    middle = room.polygon.centroid
-    clear_m = room.polygon.boundary.distance(middle)
-    roomy = room.polygon.contains(middle) and clear_m > 0.7 * widest.length
-    x, y = middle.coords[0] if roomy else widest.coords[0]
-    return float(x), float(y)
 
 
 def _page(low: FloatArray, size_m: FloatArray, inches_per_m: float) -> "tuple[Figure, Axes]":
@@ -272,14 +248,13 @@ def _page(low: FloatArray, size_m: FloatArray, inches_per_m: float) -> "tuple[Fi
 def _show(
     axes: "Axes",
     pixels: UInt8Array,
-    origin: FloatArray,
-    cell_m: float,
+    grid: GridMap,
     **options: Any,  # noqa: ANN401 - Matplotlib's
 ) -> None:
-    """Draw an image (rows, columns, 3) whose first row has the lowest y."""
-    left, bottom = origin
-    right, top = origin + cell_m * np.array(pixels.shape[1::-1])
-    options |= {"origin": "lower", "interpolation": "nearest", "aspect": "auto"}
+    """Draw an image (rows, columns, 3) of a grid's cells; the first row has the lowest y."""
+    left, bottom = grid.origin
+    right, top = grid.origin + grid.cell_m * np.array(pixels.shape[1::-1])
+    options |= {"origin": "lower", "aspect": "auto"}
     axes.imshow(pixels, extent=(left, right, bottom, top), **options)
 
 

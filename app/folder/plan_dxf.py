@@ -10,7 +10,7 @@ from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.floor_plan import FloorPlan, PlanDoor
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.folder.atomic import written_whole
-from ffmap.app.folder.pictures import extent, pane
+from ffmap.app.folder.pictures import extent, pane, room_middle
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing
@@ -60,7 +60,7 @@ def write_dxf(path: Path, plan: FloorPlan) -> None:
         _add_door(space, door)
     attributes = {"layer": "ROOM_NAMES", "rotation": plan.direction_deg}
     for room in plan.rooms:
-        place = shapely.get_coordinates(room.polygon.representative_point())[0]
+        place = room_middle(room)
         for line, height, below_m in (
             (room.name, 0.25, 0.0),
             (f"{room.area_m2:.1f} m²", 0.2, 0.35),

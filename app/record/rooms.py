@@ -12,7 +12,7 @@ import shapely
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.maps.area_graph import AreaGraph
 from ffmap.algorithms.maps.grid import GridMap
-from ffmap.app.folder.pictures import inner_point, room_color
+from ffmap.app.folder.pictures import room_color, room_middle
 from ffmap.app.record.building import log_grid
 from ffmap.app.record.log import Log, evidence, open_log
 from ffmap.app.record.shapes import at_height, strips, ui_radius
@@ -91,7 +91,7 @@ def _colors(graph: AreaGraph) -> UInt8Array:
 
 
 def _inner_points(graph: AreaGraph) -> FloatArray:
-    return np.array([inner_point(room) for room in graph.rooms]).reshape(-1, 2)
+    return np.array([room_middle(room) for room in graph.rooms]).reshape(-1, 2)
 
 
 def _triangles(area: shapely.Polygon) -> Sequence[shapely.Polygon]:

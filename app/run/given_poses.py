@@ -69,38 +69,6 @@ class GivenPoses:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class PoseFrame:
-    """The frame that poses are of.
-
-    T_frame_base: (4, 4). rms_m, as_base_m: RMS distance (m) between surfaces seen at different
-    times, by this frame and by the base. noise_m: the same within a scan. NaN: unknown.
-    """
-
-    name: str
-    T_frame_base: FloatArray
-    rms_m: float
-    as_base_m: float
-    noise_m: float
-
-    def warnings(self, given: str, base: str) -> list[str]:
-        """Describe a frame that is not the base, and surfaces that do not meet."""
-        warnings = []
-        if self.rms_m < self.as_base_m:
-            warnings.append(
-                f"{given} contains poses of {self.name}, not of {base}, and is used as such: "
-                f"surfaces seen at different times are {100 * self.rms_m:.1f} cm apart, and "
-                f"{100 * self.as_base_m:.1f} cm by {base}; --trajectory-frame {base} overrules this"
-            )
-        if self.rms_m > _BLURRED * self.noise_m:
-            warnings.append(
-                f"{given}: surfaces seen at different times are {100 * self.rms_m:.1f} cm apart by "
-                f"its poses (noise: {100 * self.noise_m:.1f} cm), which blurs the map. Use more "
-                "precise poses, or omit --trajectory"
-            )
-        return warnings
-
-
 def given_poses(
     name: str | None, inputs: Inputs, settings: Settings, frame: str | None = None
 ) -> GivenPoses | None:
@@ -113,22 +81,21 @@ def given_poses(
         return None
     read = _read_poses(name, inputs, frame)
     _check_plausible(name, read)
-    found = find_pose_frame(name, read, inputs, settings, frame)
-    of_base = found.name == inputs.rig.base_frame
+    frame, T_base_frame, warnings = find_pose_frame(name, read, inputs, settings, frame)
+    of_base = frame == inputs.rig.base_frame
     if not of_base:
-        read = Trajectory(read.stamp_ns, read.T_map_base @ found.T_frame_base)
+        read = _of_base(read, T_base_frame)
     first = read.T_map_base[0, :3, 3]
     origin_m = np.round(first) * [1, 1, 0] if np.hypot(*first[:2]) > _FAR_M else np.zeros(3)
     # The floor below the first pose is looked for near the origin.
     from_first = read.moved(transforms.make_transform(translation=-first))
     level = level_by_first_scans(inputs, from_first, settings)
-    warnings = found.warnings(name, inputs.rig.base_frame)
     lean_deg = float(np.degrees(np.arccos(np.clip(level.T_map_odom[2, 2], -1.0, 1.0))))
     if not of_base and lean_deg > _LEVEL_DEG:
         # The poses have the axes of the sensor at its first pose.
         origin_m = first + transforms.invert(level.T_map_odom)[:3, 3]
         moved = from_first.moved(level.T_map_odom)
-        return GivenPoses(moved, found.name, origin_m, tuple(warnings))
+        return GivenPoses(moved, frame, origin_m, tuple(warnings))
     if np.isfinite(level.floor_rms_m):
         if lean_deg > _LEAN_MAX_DEG:
             raise InputError(
@@ -158,14 +125,15 @@ def given_poses(
             "convert them (run.json: map_origin)"
         )
     moved = read.moved(transforms.make_transform(translation=-origin_m))
-    return GivenPoses(moved, found.name, origin_m, tuple(warnings))
+    return GivenPoses(moved, frame, origin_m, tuple(warnings))
 
 
 def find_pose_frame(
     name: str, given: Trajectory, inputs: Inputs, settings: Settings, frame: str | None
-) -> PoseFrame:
+) -> tuple[str, FloatArray, list[str]]:
     """Detect the frame of poses: the named one, the base, or one by which surfaces agree better.
 
+    Returns its name, its T_base_frame (4, 4), and warnings.
     Raises InputError for an unknown frame, and where surfaces agree by none.
     """
     sensor = inputs.horizontal or inputs.vertical
@@ -199,7 +167,20 @@ def find_pose_frame(
             f"{100 * best_m:.1f} cm apart in every known frame. Use poses of this drive, in "
             "metres, stamped by the lidar's clock, or omit --trajectory"
         )
-    return PoseFrame(best, transforms.invert(T_best), best_m, as_base_m, noise_m)
+    warnings = []
+    if best_m < as_base_m:
+        warnings.append(
+            f"{name} contains poses of {best}, not of {base}, and is used as such: surfaces seen "
+            f"at different times are {100 * best_m:.1f} cm apart, and {100 * as_base_m:.1f} cm by "
+            f"{base}; --trajectory-frame {base} overrules this"
+        )
+    if best_m > _BLURRED * noise_m:
+        warnings.append(
+            f"{name}: surfaces seen at different times are {100 * best_m:.1f} cm apart by its "
+            f"poses (noise: {100 * noise_m:.1f} cm), which blurs the map. Use more precise poses, "
+            "or omit --trajectory"
+        )
+    return best, T_best, warnings
 
 
 def _of_base(given: Trajectory, T_base_frame: FloatArray) -> Trajectory:

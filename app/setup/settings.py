@@ -116,10 +116,10 @@ class Settings(StepSettings):
         """Return every setting by its dotted name."""
         return dotted_keys(self.model_dump(mode="json"))
 
-    def short_hash(self, *steps: str) -> str:
-        """Hash these settings, or those of some steps, to eight hexadecimal digits."""
-        chosen = self.model_dump(mode="json", include=set(steps) if steps else None)
-        return hashlib.sha256(json.dumps(chosen, sort_keys=True).encode()).hexdigest()[:8]
+    def short_hash(self) -> str:
+        """Hash the settings to eight hexadecimal digits."""
+        content = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()[:8]
 
 
 def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
@@ -184,22 +184,17 @@ def _problem(error: ValidationError) -> str:
 
 
 _LIST = "'ffmap settings' lists them all"
-_ALIKE = 0.6
-"""Minimum likeness of a setting that is suggested."""
 
 
 def _suggestion(name: str) -> str:
     """Suggest a setting whose own name is alike, in whatever step."""
-
-    def likeness(one: str, other: str) -> float:
-        return difflib.SequenceMatcher(None, one, other).ratio()
-
-    own = name.rpartition(".")[2]
-    known = Settings().flat()
-    alike = [other for other in known if likeness(own, other.rpartition(".")[2]) >= _ALIKE]
+    own_names = {known: known.rpartition(".")[2] for known in Settings().flat()}
+    own = difflib.get_close_matches(name.rpartition(".")[2], own_names.values(), n=10)
+    alike = [known for known, own_name in own_names.items() if own_name in own]
     if not alike:
         return _LIST
-    return f"did you mean {max(alike, key=lambda other: likeness(name, other))!r}? {_LIST}"
+    (best,) = difflib.get_close_matches(name, alike, n=1, cutoff=0.0)
+    return f"did you mean {best!r}? {_LIST}"
 
 
 def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value

@@ -1,4 +1,4 @@
-"""A Dask cluster for whoever asks for one."""
+"""A short drive, a run of it, and a Dask cluster."""
 
 import json
 import os
@@ -10,6 +10,27 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from ffmap.loaders.simulator import SimulationSettings, simulate
+from tests.program import ffmap_here, with_cache
+
+
+@pytest.fixture(scope="session")
+def small_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive of 5 s; its folder has the cache of the runs that share their odometry."""
+    path = tmp_path_factory.mktemp("small") / "drive.bag"
+    simulate(path, SimulationSettings(building="small", seed=3, sensor="vlp16", duration_s=5.0))
+    return path
+
+
+@pytest.fixture(scope="session")
+def small_run(small_bag: Path) -> Path:
+    """A run of that drive by two workers, without evaluation."""
+    out = small_bag.parent / "run"
+    environment = with_cache(small_bag.parent / "cache")
+    done = ffmap_here(environment, "run", small_bag, "--out", out, "--no-evaluate")
+    assert done.returncode == 0, done.stderr
+    return out
 
 
 @pytest.fixture(scope="module")

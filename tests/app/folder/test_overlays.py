@@ -8,8 +8,8 @@ from PIL import Image
 
 from ffmap.algorithms.base.segments import turned
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.algorithms.truth.maps import Agreement, ComparedMap
-from ffmap.app.folder.pictures import MAP_TITLES, coarsened, write_overlays
+from ffmap.algorithms.truth.maps import ComparedMap
+from ffmap.app.folder.pictures import MAP_TITLES, write_overlays
 
 GREEN, RED = (20, 140, 60), (240, 50, 50)
 
@@ -38,18 +38,8 @@ def test_all_maps_are_shown_alike_and_square_to_the_walls(
     write_overlays(tmp_path / "overlay.png", compared, direction_deg)
     with Image.open(tmp_path / "overlay.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
-    green, red = (np.abs(pixels - colour).max(axis=2) < 30 for colour in (GREEN, RED))
+    green, red = (np.abs(pixels - colour).max(axis=2) < 80 for colour in (GREEN, RED))
     wall_rows = np.flatnonzero(red.sum(axis=1) > 0.9 * red.sum(axis=1).max())
     across = np.flatnonzero(red[wall_rows[0]])
     assert np.ptp(wall_rows) < 0.05 * np.ptp(across)  # level
     assert green.sum() == pytest.approx(2 * red.sum(), rel=0.1)  # two maps at the same scale
-
-
-def test_no_wall_is_lost_where_a_large_map_is_drawn_small() -> None:
-    agreement = np.full((7, 9), Agreement.FREE, np.uint8)
-    agreement[0, 8] = agreement[4, 3] = Agreement.BOTH
-    agreement[3, 3] = Agreement.ONLY_REFERENCE
-    agreement[6, 0] = Agreement.NOTHING
-    free, both, missed = Agreement.FREE, Agreement.BOTH, Agreement.ONLY_REFERENCE
-    expected = [[free, free, both], [free, missed, free], [free, free, free]]
-    assert coarsened(agreement, 3).tolist() == expected

@@ -9,27 +9,13 @@ import pytest
 
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.cloud_index import index_clouds
-from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.loaders.bag_builder import PERIOD_NS
-from tests.parts import PACKETS, cut, in_one_folder, in_packets
+from tests.parts import PACKETS, cut, in_packets
 from tests.program import ffmap_here, with_cache
 
 TOPICS = ("/horizontal_velodyne/velodyne_points", "/vertical_velodyne/velodyne_points")
 PLACES_S = (1.53, 3.27)
 """From the bag's beginning; between two clouds of each lidar."""
-
-
-def drive(folder: Path, container: str) -> Path:
-    bag = folder / ("drive.bag" if container == "bag" else f"drive_{container}")
-    values = {
-        "building": "small",
-        "seed": 3,
-        "sensor": "vlp16",
-        "format": container,
-        "duration_s": 5.0,
-    }
-    simulate(bag, SimulationSettings.model_validate(values))
-    return bag
 
 
 def cut_in_three(bag: Path, folder: Path) -> list[Path]:
@@ -47,26 +33,16 @@ def record_of(environment: dict[str, str], out: Path, *words: object) -> dict[st
     return record
 
 
-@pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return with_cache(tmp_path_factory.mktemp("cache"))
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return drive(tmp_path_factory.mktemp("drive"), "bag")
-
-
-@pytest.fixture(scope="module")
-def record(whole: Path, environment: dict[str, str]) -> dict[str, Any]:
-    """Of the run on the drive in one file."""
-    return record_of(environment, whole.parent / "run", whole)
+@pytest.fixture
+def environment(small_bag: Path) -> dict[str, str]:
+    return with_cache(small_bag.parent / "cache")
 
 
 def test_parts_give_the_same_labels_in_any_order_and_all_are_needed(
-    whole: Path, record: dict[str, Any], environment: dict[str, str], tmp_path: Path
+    small_bag: Path, small_run: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    first, second, third = cut_in_three(whole, tmp_path)
+    first, second, third = cut_in_three(small_bag, tmp_path)
+    record = json.loads((small_run / "run.json").read_text())
     out = tmp_path / "run"
     found = record_of(environment, out, third, first, second)
     assert found["labels_digest"] == record["labels_digest"]
@@ -84,21 +60,10 @@ def test_parts_give_the_same_labels_in_any_order_and_all_are_needed(
     assert "labels equal" in again.stdout
 
 
-@pytest.mark.parametrize("container", ["mcap", "db3"])
-def test_parts_of_ros_2_give_the_same_labels(
-    record: dict[str, Any], environment: dict[str, str], tmp_path: Path, container: str
-) -> None:
-    parts = cut_in_three(drive(tmp_path, container), tmp_path)
-    paths = parts if container == "mcap" else [in_one_folder(parts, tmp_path / "folder")]
-    assert (
-        record_of(environment, tmp_path / "run", *paths)["labels_digest"] == record["labels_digest"]
-    )
-
-
 def test_a_revolution_that_the_cut_goes_through_is_joined(
-    whole: Path, environment: dict[str, str], tmp_path: Path
+    small_bag: Path, environment: dict[str, str], tmp_path: Path
 ) -> None:
-    packets = in_packets(whole, TOPICS)
+    packets = in_packets(small_bag, TOPICS)
     expected = record_of(environment, tmp_path / "one", packets)
     with open_bag(packets) as opened:
         indexes = [index_clouds(opened, topic) for topic in TOPICS]
@@ -114,10 +79,10 @@ def test_a_revolution_that_the_cut_goes_through_is_joined(
     assert found["labels_digest"] == expected["labels_digest"]
 
 
-def test_what_is_no_drive_is_one_line(whole: Path, environment: dict[str, str]) -> None:
+def test_what_is_no_drive_is_one_line(small_bag: Path, environment: dict[str, str]) -> None:
     for command in ("run", "info"):
-        refused = ffmap_here(environment, command, whole, whole)
+        refused = ffmap_here(environment, command, small_bag, small_bag)
         assert refused.returncode == 2
         (line,) = refused.stderr.splitlines()
-        assert line.startswith(f"ffmap: {whole}: its ")
+        assert line.startswith(f"ffmap: {small_bag}: its ")
         assert line.endswith("; give the parts of one drive, each once")

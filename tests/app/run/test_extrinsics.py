@@ -68,19 +68,6 @@ def test_a_mount_that_is_off_is_refined_and_told(folder: Path) -> None:
     assert "labels equal" in inspected.stdout
 
 
-def test_a_mount_that_is_right_stays(folder: Path) -> None:
-    done = run(folder, "right", "--no-evaluate")
-    mount = mount_of(folder / "right")
-    assert mount["used"] == "as given"
-    assert "T_base_sensor" not in mount
-    assert "the extrinsics of" not in done.stdout + done.stderr
-
-
-def test_as_given_it_is_not_looked_into(folder: Path) -> None:
-    run(folder, "given", "--rig", folder / "rig.toml", "--mount", "as-given", "--no-evaluate")
-    assert not json.loads((folder / "given" / "run.json").read_text())["mounts"]
-
-
 def test_a_mount_that_is_far_off_ends_the_run_before_the_odometry(folder: Path) -> None:
     """Degrees for radians, say: the line names the transform."""
     turned = transforms.make_transform(Rotation.from_euler("z", 20, degrees=True))

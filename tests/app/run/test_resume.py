@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from ffmap.app.run.scans import SCANS_PER_BLOCK
-from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.app.record.recordings import rows
 from tests.program import ffmap_here, kill_once, with_cache
 
@@ -17,13 +16,6 @@ LEFT_BY = {
     "final": "killed/spool/*.final.arrow",
 }
 """A file that shows that a stage is under way."""
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("bags") / "drive.bag"
-    simulate(path, SimulationSettings(building="small", seed=3, sensor="vlp16", duration_s=7.0))
-    return path
 
 
 def finished(cache: Path, *words: object) -> None:
@@ -43,36 +35,25 @@ def results(out: Path) -> tuple[str, bytes, bytes, dict[int, float]]:
     return record["labels_digest"], map_file, poses, recorded
 
 
-@pytest.fixture(scope="module")
-def whole(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("runs") / "whole"
-    finished(out.parent / "cache", bag, "--out", out, *OPTIONS)
-    return out
-
-
 def test_a_cached_odometry_and_a_single_worker_give_the_same(
-    bag: Path, whole: Path, tmp_path: Path
+    small_bag: Path, small_run: Path, tmp_path: Path
 ) -> None:
     words = ("--out", tmp_path / "alone", "--workers", 1, "--detail", "map", *OPTIONS)
-    finished(whole.parent / "cache", bag, *words)
-    assert results(tmp_path / "alone") == results(whole)
+    finished(small_run.parent / "cache", small_bag, *words)
+    assert results(tmp_path / "alone") == results(small_run)
     assert json.loads((tmp_path / "alone" / "run.json").read_text())["odometry_cached"]
 
 
 @pytest.mark.parametrize("stage", LEFT_BY)
 def test_a_killed_run_is_resumed_to_the_same(
-    stage: str, bag: Path, whole: Path, tmp_path: Path
+    stage: str, small_bag: Path, small_run: Path, tmp_path: Path
 ) -> None:
     cache, out = tmp_path / "cache", tmp_path / "killed"
-    kill_once(
-        with_cache(cache),
-        lambda: [*tmp_path.glob(LEFT_BY[stage])],
-        "run",
-        bag,
-        "--out",
-        out,
-        *OPTIONS,
-    )
+
+    def left() -> list[Path]:
+        return [*tmp_path.glob(LEFT_BY[stage])]
+
+    kill_once(with_cache(cache), left, "run", small_bag, "--out", out, *OPTIONS)
     assert json.loads((out / "run.json").read_text())["outcome"] == "running"
     finished(cache, "--resume", out)
-    assert results(out) == results(whole)
+    assert results(out) == results(small_run)

@@ -9,18 +9,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.program import FFMAP, with_cache
 
 WAIT_S = 120.0
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("bags") / "drive.bag"
-    values = {"building": "small", "seed": 3, "sensor": "vlp16", "duration_s": 4.0}
-    simulate(path, SimulationSettings.model_validate(values))
-    return path
 
 
 class Running:
@@ -64,9 +55,9 @@ def _is_alive_in(process: psutil.Process, session: int) -> bool:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes by their session")
 def test_killed_worker_is_one_line_that_names_memory_and_how_to_go_on(
-    bag: Path, tmp_path: Path
+    small_bag: Path, tmp_path: Path
 ) -> None:
-    running = Running(bag, tmp_path / "run", tmp_path / "cache")
+    running = Running(small_bag, tmp_path / "run", tmp_path / "cache")
     running.wait_for_workers()[0].kill()
     said = running.process.communicate(timeout=WAIT_S)[1].splitlines()
     assert running.process.returncode == 2
@@ -77,8 +68,8 @@ def test_killed_worker_is_one_line_that_names_memory_and_how_to_go_on(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for processes by their session")
-def test_no_process_outlives_a_run_that_is_killed(bag: Path, tmp_path: Path) -> None:
-    running = Running(bag, tmp_path / "run", tmp_path / "cache")
+def test_no_process_outlives_a_run_that_is_killed(small_bag: Path, tmp_path: Path) -> None:
+    running = Running(small_bag, tmp_path / "run", tmp_path / "cache")
     running.wait_for_workers()
     running.process.kill()
     running.process.wait()
