@@ -42,4 +42,4 @@ def test_all_maps_are_shown_alike_and_square_to_the_walls(
     wall_rows = np.flatnonzero(red.sum(axis=1) > 0.9 * red.sum(axis=1).max())
     across = np.flatnonzero(red[wall_rows[0]])
     assert np.ptp(wall_rows) < 0.05 * np.ptp(across)  # level
-    assert green.sum() == pytest.approx(2 * red.sum(), rel=0.1)  # two maps at the same scale
+    assert green.sum() == pytest.approx(2 * red.sum(), rel=0.2)  # two maps at the same scale
