@@ -1,4 +1,4 @@
-"""Digests of all that four drives come to: compare before and after a change that changes nothing.
+"""Digests of the results of four drives, to compare before and after a change.
 
     python tests/benchmarks/freeze.py frozen.json
 
@@ -15,17 +15,10 @@ import sys
 import tempfile
 from pathlib import Path
 
+from suite import FFMAP, NAMED
+
 DRIVES = {
-    "office": {"building": "office"},
-    "hall, ramp": {"building": "lab", "ramp_rise_m": 0.3, "walking_people": 4},
-    "slope, sills": {
-        "building": "angled",
-        "floor_slope_deg": 1.0,
-        "door_sills_m": 0.02,
-        "step_m": 0.15,
-        "clutter": 0.8,
-    },
-    "16 rings": {"building": "ell", "ceiling_m": 4.0, "wall_thickness_m": 0.35, "sensor": "os1-16"},
+    name: NAMED[name] for name in ("office", "hall, ramp", "slope, sills, step", "high, OS1-16")
 }
 FILES = (
     "trajectory.tum",
@@ -40,7 +33,6 @@ FILES = (
     "floorplan.svg",
 )
 FIGURES = ("wall.f1", "door.f1", "clutter.f1", "doors.recall", "maps.furniture_free.recall")
-FFMAP = str(Path(sys.executable).with_name("ffmap"))
 
 
 def main() -> int:
@@ -55,8 +47,7 @@ def main() -> int:
     asked = parser.parse_args()
     asked.bags.mkdir(parents=True, exist_ok=True)
     now = {
-        name: digests(bag(asked.bags, name, asked.duration), asked.workers)
-        for name in asked.drives
+        name: digests(bag(asked.bags, name, asked.duration), asked.workers) for name in asked.drives
     }
     if not asked.file.exists():
         asked.file.write_text(json.dumps(now, indent=1))
