@@ -247,7 +247,7 @@ def _with_companion(
 
 
 class _Companions:
-    """Scans of the other lidar, of which only those that are registered are decoded."""
+    """Scans of the other lidar; only those that are registered are decoded."""
 
     def __init__(self, scans: Iterator[_OnDemand]) -> None:
         self._scans = scans
