@@ -16,7 +16,7 @@ from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
-from ffmap.algorithms.base.labels import NO_RETURN
+from ffmap.algorithms.base.labels import NO_RETURN, Verdict
 from ffmap.algorithms.truth.changes import CLASSES, transitions
 from ffmap.app.analysis import inspection
 from ffmap.app.analysis.run_labels import read_run_labels
@@ -25,6 +25,7 @@ from ffmap.app.commands import inspect as inspect_command
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.folder.run_folder import held, is_held
+from ffmap.app.record.errors import VERDICT_COLORS
 from ffmap.app.record.read_back import rows
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
@@ -145,12 +146,8 @@ def test_what_differs_is_printed_and_in_the_recording(
 ) -> None:
     found = report(compared)
     (change,) = found["comparisons"]
-    text = "".join(
-        chunk.to_record_batch().column("TextDocument:text")[0].as_py()[0]
-        for chunk in RrdReader(compared / "comparison.rrd")
-        .stream()
-        .filter(content=[f"/changes/{'B'}/text"])
-    )
+    chunks = RrdReader(compared / "comparison.rrd").stream().filter(content=["/changes/B/text"])
+    text = str([chunk.to_record_batch().column("TextDocument:text").to_pylist() for chunk in chunks])
     worst = max(change["scans"], key=lambda scan: scan["changed"])["scan"]
     for shown in (text, (compared / "stdout.txt").read_text()):
         for words in (f"labels {next(iter(change['transitions']))}", "wall faces lost m"):
@@ -399,100 +396,91 @@ def test_a_scan_is_labelled_again_bit_for_bit(
     assert set(strips.values()) <= {0, 200}
 
 
-def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(
-    runs: dict[str, Path], tmp_path: Path
-) -> None:
-    run = runs["other"]
-    verdicts = {row.scan: row.values for row in rows(run / "evaluation.rrd", entities.POINTS)}
-    red, green, blue = entities.VERDICTS[0][1]
-    right = np.uint32(red << 24 | green << 16 | blue << 8 | 255)
-    wrong = {s: np.mean(v[entities.POINT_VERDICT_COLOR] != right) for s, v in verdicts.items()}
-    worst, _ = inspection.find_worst(open_run(run))
-    assert worst == max(wrong, key=wrong.__getitem__)
-    without_truth = tmp_path / "run"
-    without_truth.mkdir()
+@pytest.fixture
+def without_truth(runs: dict[str, Path], tmp_path: Path) -> Path:
+    """A run that was not evaluated."""
+    folder = tmp_path / "run"
+    folder.mkdir()
     for name in ("run.json", "labels.parquet", "trajectory.tum"):
-        shutil.copy(run / name, without_truth)
+        shutil.copy(runs["other"] / name, folder)
+    return folder
+
+
+def wrong_by_scan(run: Path) -> dict[int, np.ndarray]:
+    """Whether each return (n,) of a scan has a wrong label, by evaluation.rrd."""
+    right = VERDICT_COLORS[Verdict.RIGHT]
+    found = rows(run / "evaluation.rrd", entities.POINTS)
+    return {row.scan: row.values[entities.POINT_VERDICT_COLOR] != right for row in found}
+
+
+def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(
+    runs: dict[str, Path], without_truth: Path
+) -> None:
+    share = {scan: np.mean(wrong) for scan, wrong in wrong_by_scan(runs["other"]).items()}
+    worst, _ = inspection.find_worst(open_run(runs["other"]))
+    assert worst == max(share, key=share.__getitem__)
     relabelled = [
         np.count_nonzero(label != label_scan) / np.count_nonzero(label != NO_RETURN)
-        for _, (label, label_scan) in sorted(labels_of(run).items())
+        for _, (label, label_scan) in sorted(labels_of(runs["other"]).items())
     ]
     worst, why = inspection.find_worst(open_run(without_truth))
     assert worst == int(np.argmax(relabelled))
     assert "not those of the scan alone" in why
 
 
-def test_the_worst_scan_opens_at_its_worst_line_and_says_which_label_is_wrong(
+def test_the_worst_scan_opens_at_its_worst_line_and_names_wrong_labels(
     runs: dict[str, Path],
+    without_truth: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     run = runs["other"]
     scan, _ = inspection.find_worst(open_run(run))
-    red, green, blue = entities.VERDICTS[0][1]
-    right = np.uint32(red << 24 | green << 16 | blue << 8 | 255)
-    verdicts = {row.scan: row.values for row in rows(run / "evaluation.rrd", entities.POINTS)}
-    wrong = verdicts[scan][entities.POINT_VERDICT_COLOR] != right
-    label, label_scan = (
-        own[own != NO_RETURN] for own in labels_of(run)[sorted(labels_of(run))[scan]]
-    )
+    wrong = wrong_by_scan(run)[scan]
+    labels = labels_of(run)
+    label, label_scan = (own[own != NO_RETURN] for own in labels[sorted(labels)[scan]])
+    changed = label != label_scan
     written = Mock(wraps=inspect_command.write)
     monkeypatch.setattr(inspect_command, "write", written)
     inspect_command.inspect(run, "worst", None, None, tmp_path / "worst.rrd", spawn=False)
     explained = written.call_args.args[2]
-    lines, faults, opened = explained.labelling, explained.faults, explained.line
-    assert faults is not None
+    lines, faults = explained.labelling.lines, explained.faults
     assert faults.by_truth
-    np.testing.assert_array_equal(faults.fault > 0, wrong)
-    np.testing.assert_array_equal(faults.fault == Fault.OF_THE_SCAN, wrong & (label == label_scan))
-    np.testing.assert_array_equal(
-        faults.fault == Fault.OF_THE_BUILDING, wrong & (label != label_scan)
-    )
-    line_of = np.empty(len(wrong), int)
-    for line in range(len(lines.lines)):
-        line_of[lines.lines.order[lines.lines.starts[line] : lines.lines.starts[line + 1]]] = line
-    counts = np.bincount(line_of[wrong], minlength=len(lines.lines))
-    assert opened == int(np.argmax(counts))
+    np.testing.assert_array_equal(faults.fault == Fault.OF_THE_SCAN, wrong & ~changed)
+    np.testing.assert_array_equal(faults.fault == Fault.OF_THE_BUILDING, wrong & changed)
+    in_order = wrong[lines.order]
+    ends = zip(lines.starts[:-1], lines.starts[1:], strict=True)
+    counts = [np.count_nonzero(in_order[start:end]) for start, end in ends]
+    assert explained.line == int(np.argmax(counts))
     out = capsys.readouterr().out
-    assert (
-        f"The final label (label) of {np.count_nonzero(wrong):,} of {len(wrong):,} returns is wrong"
-        in out
-    )
-    assert (
-        f"{np.count_nonzero(wrong & (label == label_scan)):,} with that label by the scan itself (label_scan)"
-        in out
-    )
-    assert f"Most are in line {opened} " in out
-    assert f"{counts.max():,}." in out
+    for words in (
+        f"The final label (label) of {wrong.sum():,} of {len(wrong):,} returns is wrong",
+        f"{(wrong & ~changed).sum():,} with that label by the scan itself (label_scan)",
+        f"Most are in line {explained.line} ",
+        f"{max(counts):,}.",
+    ):
+        assert words in out
     changes = inspection.label_again(open_run(run), scan).changes
     counted, also_wrong = (
         sum(int(change[column].replace(",", "")) for change in changes) for column in (0, 1)
     )
-    assert counted == np.count_nonzero(label != label_scan) > 0
-    assert also_wrong == np.count_nonzero(wrong & (label != label_scan)) > 0
+    assert (counted, also_wrong) == (changed.sum(), (wrong & changed).sum())
+    assert min(counted, also_wrong) > 0
     assert changes[0][0] in out
     assert changes[0][4].split()[-1] in out
 
-    # Without truth, what the building changed; a line that is asked for comes before the worst.
-    without_truth = tmp_path / "run"
-    without_truth.mkdir()
-    for name in ("run.json", "labels.parquet", "trajectory.tum"):
-        shutil.copy(run / name, without_truth)
-    inspect_command.inspect(
-        without_truth, str(scan), 3, None, tmp_path / "numbered.rrd", spawn=False
-    )
-    faults, opened = written.call_args.args[2].faults, written.call_args.args[2].line
-    assert not faults.by_truth
-    np.testing.assert_array_equal(faults.fault == Fault.RELABELLED, label != label_scan)
-    assert opened == 3
+    # Without truth, what the building changed; a line that the user names precedes the worst.
+    inspect_command.inspect(without_truth, str(scan), 3, None, tmp_path / "a.rrd", spawn=False)
+    explained = written.call_args.args[2]
+    assert not explained.faults.by_truth
+    np.testing.assert_array_equal(explained.faults.fault == Fault.RELABELLED, changed)
+    assert explained.line == 3
     assert "is not the label by the scan itself (label_scan)" in capsys.readouterr().out
 
     # A run without final labels says that nothing is marked.
-    bare = tmp_path / "bare"
-    bare.mkdir()
-    shutil.copy(run / "run.json", bare)
-    inspect_command.inspect(bare, str(scan), None, None, tmp_path / "bare.rrd", spawn=False)
+    (without_truth / "labels.parquet").unlink()
+    inspect_command.inspect(without_truth, str(scan), None, None, tmp_path / "b.rrd", spawn=False)
     assert written.call_args.args[2].faults is None
     assert "has no final labels (label) of this scan" in capsys.readouterr().out
 
