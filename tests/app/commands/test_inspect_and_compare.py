@@ -147,7 +147,8 @@ def test_what_differs_is_printed_and_in_the_recording(
     found = report(compared)
     (change,) = found["comparisons"]
     chunks = RrdReader(compared / "comparison.rrd").stream().filter(content=["/changes/B/text"])
-    text = str([chunk.to_record_batch().column("TextDocument:text").to_pylist() for chunk in chunks])
+    batches = [chunk.to_record_batch() for chunk in chunks]
+    text = str([batch.column("TextDocument:text").to_pylist() for batch in batches])
     worst = max(change["scans"], key=lambda scan: scan["changed"])["scan"]
     for shown in (text, (compared / "stdout.txt").read_text()):
         for words in (f"labels {next(iter(change['transitions']))}", "wall faces lost m"):

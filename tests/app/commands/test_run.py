@@ -57,27 +57,23 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+DRIVE = SimulationSettings(building="small", seed=3, sensor="vlp16", duration_s=3.0)
+
+
 @pytest.fixture(scope="module")
-def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """The same drive in each container."""
-    folder = tmp_path_factory.mktemp("bags")
-    paths = {}
-    for container, name in (("bag", "drive.bag"), ("mcap", "drive_mcap"), ("db3", "drive_db3")):
-        paths[container] = folder / name
-        drive = SimulationSettings(
-            building="small", seed=3, sensor="vlp16", format=container, duration_s=3.0
-        )
-        simulate(paths[container], drive)
-    return paths
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bags") / "drive.bag"
+    simulate(path, DRIVE)
+    return path
 
 
 @pytest.fixture(scope="module")
 def finished_as_said(
-    bags: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
+    bag: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """A run on the ROS 1 bag, and what it said."""
     out = tmp_path_factory.mktemp("runs") / "whole"
-    done = ffmap(dict(os.environ), "run", bags["bag"], "--out", out)
+    done = ffmap(dict(os.environ), "run", bag, "--out", out)
     assert done.returncode == 0, done.stderr
     return out, done
 
@@ -138,10 +134,8 @@ def test_five_lines_summarize_a_run(
     assert lines["warnings"] == "none"
 
 
-def test_a_cut_bag_is_processed_up_to_the_cut_with_a_warning(
-    bags: dict[str, Path], tmp_path: Path
-) -> None:
-    whole = bags["bag"].read_bytes()
+def test_a_cut_bag_is_processed_up_to_the_cut_with_a_warning(bag: Path, tmp_path: Path) -> None:
+    whole = bag.read_bytes()
     cut, out = tmp_path / "cut.bag", tmp_path / "run"
     cut.write_bytes(whole[: int(0.7 * len(whole))])
     options = ("--outputs", "maps", "--workers", "1")
@@ -230,28 +224,21 @@ def test_errors_are_a_layer_of_the_recording(finished: Path) -> None:
         assert len(RrdReader(finished / name).blueprints())
 
 
-@pytest.mark.parametrize("container", ["mcap", "db3"])
-def test_every_container_gives_the_same_labels(
-    container: str,
-    bags: dict[str, Path],
-    finished: Path,
-    tmp_path: Path,
-) -> None:
-    options = ("--no-evaluate", "--detail", "map", "--workers", "1", "--outputs", "labelled-bag")
-    done = here("run", bags[container], "--out", tmp_path / "run", *options)
+def test_a_ros2_bag_gives_the_same_labels(finished: Path, tmp_path: Path) -> None:
+    simulate(tmp_path / "drive", DRIVE.model_copy(update={"format": "mcap"}))
+    options = ("--no-evaluate", "--detail", "map", "--workers", "1", "--outputs", "+labelled-bag")
+    done = here("run", tmp_path / "drive", "--out", tmp_path / "run", *options)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "labelled").is_dir()
     ours, theirs = (read(run, "run.json")["labels_digest"] for run in (tmp_path / "run", finished))
     assert ours == theirs != ""
 
 
-def test_a_run_is_not_resumed_with_other_inputs(
-    bags: dict[str, Path], finished: Path, tmp_path: Path
-) -> None:
-    out, bag = Path(shutil.copytree(finished, tmp_path / "run")), tmp_path / "drive.bag"
-    shutil.copy(bags["bag"], bag)
+def test_a_run_is_not_resumed_with_other_inputs(bag: Path, finished: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(finished, tmp_path / "run"))
+    other = Path(shutil.copy(bag, tmp_path))
     record = read(out, "run.json")
-    record |= {"outcome": "aborted", "bag": record["bag"] | {"path": str(bag)}}
+    record |= {"outcome": "aborted", "bag": record["bag"] | {"path": str(other)}}
     poses = out / "poses.tum"
     poses.write_text("other poses\n")
     given = {"trajectory": str(poses), "digests": {"trajectory": "another"}}
@@ -263,7 +250,7 @@ def test_a_run_is_not_resumed_with_other_inputs(
     ):
         (out / "run.json").write_text(json.dumps(record | changed))
         if changed == {"outcome": "aborted"}:
-            flip_a_bit(bag, UPRIGHT_TOPIC, 3)
+            flip_a_bit(other, UPRIGHT_TOPIC, 3)
         assert_one_line_error(here("run", "--resume", out), *words)
     assert "complete already" in here("run", "--resume", finished).stdout
 
@@ -280,7 +267,7 @@ def flip_a_bit(bag: Path, topic: str, cloud: int) -> None:
 
 
 def test_mistakes_are_one_line_and_leave_earlier_results_alone(
-    bags: dict[str, Path], finished: Path, tmp_path: Path
+    bag: Path, finished: Path, tmp_path: Path
 ) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in finished.iterdir()}
     text, foreign = tmp_path / "text.bag", tmp_path / "foreign"
@@ -288,7 +275,7 @@ def test_mistakes_are_one_line_and_leave_earlier_results_alone(
     foreign.mkdir()
     (foreign / "small.bag").write_text("mine")
     nothing = write_empty_clouds(tmp_path / "nothing.bag")
-    run, out = ("run", bags["bag"]), ("--out", finished)
+    run, out = ("run", bag), ("--out", finished)
     dead = "rerun+http://127.0.0.1:1/proxy"
     for words, named in (
         (("run", tmp_path / "none.bag", *out), "none.bag"),
@@ -345,30 +332,26 @@ def test_errors_of_the_system_are_one_line(
     assert capsys.readouterr().err.startswith(f"ffmap: {line}")
 
 
-def test_two_runs_never_write_into_one_folder(
-    bags: dict[str, Path], finished: Path, tmp_path: Path
-) -> None:
+def test_two_runs_never_write_into_one_folder(bag: Path, finished: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(finished, tmp_path / "run")
     with run_folder.held(copy):
-        done = ffmap(dict(os.environ), "run", bags["bag"], "--out", copy, "--overwrite")
+        done = ffmap(dict(os.environ), "run", bag, "--out", copy, "--overwrite")
         assert_one_line_error(done, str(copy), "another run")
         done = here("run", "--resume", copy)
         assert_one_line_error(done, str(copy), "another run")
     assert (copy / "recording.rrd").exists()
 
 
-def test_run_is_replaced_where_the_user_says_so(
-    bags: dict[str, Path], finished: Path, tmp_path: Path
-) -> None:
+def test_run_is_replaced_where_the_user_says_so(bag: Path, finished: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(finished, tmp_path / "run")
     (copy / "notes.txt").write_text("mine")
     options = ("--overwrite", "--outputs", "maps", "--no-evaluate", "--workers", "1")
     # Not by one that reads it.
     own = ("--trajectory", copy / "trajectory.tum")
-    done = here("run", bags["bag"], "--out", copy, *options, *own)
+    done = here("run", bag, "--out", copy, *options, *own)
     assert_one_line_error(done, "trajectory.tum")
     assert (copy / "recording.rrd").exists()
-    done = here("run", bags["bag"], "--out", copy, *options)
+    done = here("run", bag, "--out", copy, *options)
     assert done.returncode == 0, done.stderr
     maps = [f"{name}.{end}" for name in MAP_NAMES for end in ("yaml", "pgm")]
     assert set(read(copy, "run.json")["files"]) == {"run.json", "trajectory.tum", *maps}
@@ -378,12 +361,12 @@ def test_run_is_replaced_where_the_user_says_so(
 
 @pytest.mark.parametrize("stage", ["odometry", "final"])
 def test_interruption_is_one_line_that_says_how_to_go_on(
-    stage: str, bags: dict[str, Path], finished: Path, tmp_path: Path
+    stage: str, bag: Path, finished: Path, tmp_path: Path
 ) -> None:
     # The stage before it has ended, or the run's folder is there.
     out, before = tmp_path / "run", {"odometry": "", "final": "building:"}[stage]
     cold = {"FFMAP_CACHE": str(tmp_path)} if stage == "odometry" else {}
-    words = ("run", str(bags["bag"]), "--out", str(out), "--workers", "2", "--no-evaluate")
+    words = ("run", str(bag), "--out", str(out), "--workers", "2", "--no-evaluate")
     process = subprocess.Popen(
         [*FFMAP_IN_FRONT, *words],
         env={**os.environ, **cold},
@@ -410,10 +393,10 @@ def test_interruption_is_one_line_that_says_how_to_go_on(
     assert read(out, "run.json")["outcome"] == "aborted"
 
 
-def test_a_viewer_receives_the_whole_run(bags: dict[str, Path], tmp_path: Path) -> None:
+def test_a_viewer_receives_the_whole_run(bag: Path, tmp_path: Path) -> None:
     with receiving(tmp_path / "seen.rrd") as viewer:
         words = ("--outputs", "recording,maps", "--no-evaluate", "--connect", viewer.url)
-        done = here("run", bags["bag"], "--out", tmp_path / "a", *words)
+        done = here("run", bag, "--out", tmp_path / "a", *words)
         assert done.returncode == 0, done.stderr
         assert viewer.holds(tmp_path / "a" / "recording.rrd")
         assert "Odometry's map; the labelled map follows" not in shown(viewer.path)
@@ -422,11 +405,11 @@ def test_a_viewer_receives_the_whole_run(bags: dict[str, Path], tmp_path: Path) 
 
 
 def test_a_viewer_that_does_not_start_is_one_line(
-    bags: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    done = here("run", bags["bag"], "--out", tmp_path / "a", "--spawn")
+    done = here("run", bag, "--out", tmp_path / "a", "--spawn")
     assert_one_line_error(done, "--spawn", "display")
     assert not (tmp_path / "a" / "run.json").exists()
 
@@ -475,9 +458,7 @@ def test_hints_name_what_helps(finished: Path, tmp_path: Path) -> None:
         assert_one_line_error(here(*words), *hints)
 
 
-def test_evaluation_of_nothing_is_refused(
-    bags: dict[str, Path], finished: Path, tmp_path: Path
-) -> None:
+def test_evaluation_of_nothing_is_refused(bag: Path, finished: Path, tmp_path: Path) -> None:
     aborted = tmp_path / "aborted"
     aborted.mkdir()
     record = read(finished, "run.json")
@@ -507,15 +488,15 @@ def test_evaluation_of_nothing_is_refused(
     )
 
 
-def test_info_and_run_say_the_same_of_mistakes(bags: dict[str, Path], tmp_path: Path) -> None:
+def test_info_and_run_say_the_same_of_mistakes(bag: Path, tmp_path: Path) -> None:
     cut, rig = tmp_path / "cut.bag", tmp_path / "rig.toml"
-    cut.write_bytes(bags["bag"].read_bytes()[:1000])
+    cut.write_bytes(bag.read_bytes()[:1000])
     said = f"{cut}: the bag is empty, it has no messages; record it again"
     assert said in here("info", cut).stdout
     assert_one_line_error(here("run", cut), said)
     rig.write_text("[[lidar]]\n")
     for option, value in (("--horizontal", "/nope"), ("--vertical", "/nope"), ("--rig", rig)):
-        info, run = (here(command, bags["bag"], option, value) for command in ("info", "run"))
+        info, run = (here(command, bag, option, value) for command in ("info", "run"))
         assert_one_line_error(info, str(value))
         assert info.stderr == run.stderr
 
