@@ -6,6 +6,7 @@ import uuid
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import typer
 from rich.console import Console
@@ -136,26 +137,19 @@ def _write(
 
         comparison = compare_runs(runs, warnings, log_changed)
     progress.stage("record", len(runs))
-    changes = {change.b.letter: change for change in comparison.changes}
-    shown = []
     for run in runs:
-        path = run.recording.path if run.recording is not None else None
-        if path is not None:
+        if run.recording is not None:
             if not scan_of:
-                scan_of.update((row.stamp_ns, row.scan) for row in rows(path, entities.TRAJECTORY))
+                recorded = rows(run.recording.path, entities.TRAJECTORY)
+                scan_of.update((row.stamp_ns, row.scan) for row in recorded)
             part = spool / f"run-{run.letter}.rrd"
+            path = run.recording.path
             if recorder.write_rerooted(path, run.letter, part, recording_id, scans):
                 parts.append(part)
-        compared = changes[run.letter].compared if run.letter in changes else []
-        with_scans = scans and path is not None and run.run.has_scans
-        shown.append(
-            ComparedRun(run.letter, run.title, with_scans, path is not None, frozenset(compared))
-        )
         progress.advance()
-    letter, scan = comparison.most_changed
+    changes = {change.b.letter: change for change in comparison.changes}
     numbers = (min(scan_of.values()), max(scan_of.values())) if scan_of else None
-    centre_m, extent_m = view_of(*(run.grid for run in runs))
-    layout = compare_blueprint.build(shown, centre_m, extent_m, scan, letter, numbers)
+    layout = _layout(comparison, scans, numbers)
     parts.append(spool / "differences.rrd")
     with open_log(parts[-1], recording_id) as log:
         log.stream.send_recording_name(" – ".join(run.run.name for run in runs))
@@ -172,3 +166,17 @@ def _write(
             recorder.log_change(log, change.b.letter, change, text, scan_of, colors)
     join(out, recording_id, layout, parts)
     return comparison
+
+
+def _layout(comparison: Comparison, scans: bool, numbers: tuple[int, int] | None) -> Any:  # noqa: ANN401 - Rerun's blueprint
+    """Lay out the recording. numbers: of the first and the last scan."""
+    compared = {change.b.letter: frozenset(change.compared) for change in comparison.changes}
+    shown = []
+    for run in comparison.runs:
+        recorded = run.recording is not None
+        with_scans = scans and recorded and run.run.has_scans
+        own = compared.get(run.letter, frozenset())
+        shown.append(ComparedRun(run.letter, run.title, with_scans, recorded, own))
+    letter, scan = comparison.most_changed
+    centre_m, extent_m = view_of(*(run.grid for run in comparison.runs))
+    return compare_blueprint.build(shown, centre_m, extent_m, scan, letter, numbers)
