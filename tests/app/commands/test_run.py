@@ -449,7 +449,7 @@ def test_hints_name_what_helps(finished: Path, tmp_path: Path) -> None:
         (("settings", "--set", "wall_planes.similarity_m=nan"), ("no finite number",)),
         (("settings", "--set", "wall_plane.similarity_m=1"), ("'wall_planes.similarity_m'",)),
         (("settings", "--set", "wall_planes.nope=1"), ("wall_planes.nope", "'ffmap settings'")),
-        (("simulate", bag, "--building", "foo"), ("there are office",)),
+        (("simulate", bag, "--building", "foo"), ("'foo'", "'office'")),
         (("simulate", bag, "--set", "clutter=7"), ("less than or equal to 1",)),
         (("simulate", bag, "--set", "nope=7"), ("'nope'", "noise_m")),
         (("rooms", finished / "doors.geojson"), ("doors.geojson: is no map",)),
