@@ -24,7 +24,7 @@ _HEADER_BYTES = 16 + 64  # Up to the frame's name
 _FRAME_SHARE_MIN = 0.05  # Of a topic's clouds; a few odd ones are no second lidar
 _VIEWS = 30  # Number of clouds that show whether they are parts of a revolution
 _VIEWS_OF_MANY, _PARTS_FEW = 1000, 5
-_VIEW_POINTS = 2000
+_VIEW_POINTS = 2000  # Number of points that show which directions a cloud sees
 _STEPS_ALIKE = 0.8  # Minimum mean resultant length of azimuth steps; without order it is near 0
 _SECTORS = 36
 _PARTS_MAX = 200
@@ -242,7 +242,7 @@ def _views(bag: Bag, topic: str, count: int) -> Iterator[tuple[float, float]]:
         with suppress(InputError):
             message = bag.deserialize(raw)
             points = points_of(message, describe_layout(message, topic))
-            points = points[:: max(len(points) // _VIEW_POINTS, 1)]
+            points = points[:: len(points) // _VIEW_POINTS | 1]  # Odd: rows have even lengths
             x, y = (points[axis].astype(np.float64) for axis in "xy")
             valid = np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))
             turn = np.arctan2(y[valid], x[valid])
