@@ -30,6 +30,7 @@ from ffmap.app.setup.settings import load_settings
 from ffmap.app.tables import make_table
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.geojson import read_features, segments
+from ffmap.loaders.text_files import read_object
 
 CELLS_MAX = 8_000_000
 """Maps with more cells around their free space are coarsened: time and memory stay bounded."""
@@ -118,7 +119,7 @@ def _segment(
 
     try:
         out.mkdir(parents=True, exist_ok=True)
-        # First: it marks the other files as those of this command.
+        # First: its "map" marks the other files as those of this command.
         write_json(out / TOPOLOGY, {"map": str(path.resolve()), **topology(graph)})
         write_rooms(out / ROOMS, graph)
         write_rooms_picture(out / PICTURE, coarse, graph)
@@ -134,13 +135,17 @@ def _segment(
 def _check_out(out: Path, read: set[Path]) -> None:
     """Raise InputError where a file would be replaced that is read, or is not of this command."""
     read = {file.resolve() for file in read}
+    try:
+        ours = "map" in read_object(out / TOPOLOGY, "")
+    except InputError:
+        ours = False
     for file in (out / name for name in FILES):
         check_no_run_loses(file)
         if file.resolve() in read:
             raise InputError(
                 f"{file}: is read, and would be replaced; give another folder to --out"
             )
-        if file.exists() and not (out / TOPOLOGY).exists():
+        if file.exists() and not ours:
             raise InputError(
                 f"{file}: is there already, and not by 'ffmap rooms'; give another folder to --out"
             )

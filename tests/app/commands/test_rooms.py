@@ -105,6 +105,7 @@ def test_what_is_not_of_the_maps_rooms_is_left_alone(ffmap, tmp_path: Path) -> N
         ("thesis", "rooms.geojson", "mine"),
         ("run", "rooms.geojson", "a run's"),
         ("measured", "metrics.json", "mine"),
+        ("other", "topology.json", "{}"),
     ):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / name).write_text(content)
@@ -114,6 +115,7 @@ def test_what_is_not_of_the_maps_rooms_is_left_alone(ffmap, tmp_path: Path) -> N
     assert_one_line(ffmap("rooms", *options, "thesis"), "rooms.geojson: is there already")
     assert_one_line(ffmap("rooms", *options, "run"), "belongs to the run")
     assert_one_line(ffmap("rooms", *options, "measured"), "metrics.json")
+    assert_one_line(ffmap("rooms", *options, "other"), "topology.json")
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     for _ in range(2):
         assert ffmap("rooms", *options, "found")[0] == 0
