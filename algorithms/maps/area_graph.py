@@ -39,10 +39,6 @@ _MARGIN = 11
 """Cells around the free ones that are examined."""
 _PASSAGE_RATIO = 0.7
 """The opening ratio in maps with known doors or drive, where no straight mouths separate rooms."""
-_MOUTH_RATIO = 0.85
-"""Maximum width of a mouth in line with a wall, as a share of the space on either side."""
-_ENCLOSED_RATIO = 1.5
-"""Maximum width of all mouths of a room, as a share of its own width."""
 _BLOCK_FILL_MIN, _BLOCK_MAX_M = 0.25, 2.0
 """Compact free-standing blocks, such as tables and cupboards: minimum share of the square of its
 length that it covers, maximum length (m)."""
@@ -280,13 +276,13 @@ def _areas(
     lines, closed, ratio = NO_LINES, np.zeros(free.shape, bool), _PASSAGE_RATIO
     if with_mouths:
         ratio = settings.opening_ratio
-        lines, closed = find_mouths(free, walls, cell_m, ratio=ratio, ratio_in_line=_MOUTH_RATIO)
+        lines, closed = find_mouths(free, walls, cell_m, ratio)
         distance, nearest = _to_nearest_obstacle(free & ~closed)
     cells_min = settings.room_min_m2 / cell_m**2
     basins = _basins(
         free & ~closed, distance, nearest, walls | closed, ratio, widest_m / cell_m, cells_min
     )
-    label = join_open_areas(basins, lines, distance, enclosed=_ENCLOSED_RATIO, cells_min=cells_min)
+    label = join_open_areas(basins, lines, distance, cells_min)
     kept = np.bincount(label.ravel()) >= cells_min
     kept[0] = False
     label = np.where(kept, np.cumsum(kept), 0).astype(np.int32)[label]

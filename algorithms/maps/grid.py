@@ -105,17 +105,13 @@ class GridMap:
         origin = self.origin + self.cell_m * np.array([columns.start, rows.start])
         return GridMap(np.ascontiguousarray(self.cells[rows, columns]), origin, self.cell_m)
 
-    def cropped_to(self, other: "GridMap") -> "GridMap":
-        """The part that another map of the same cells covers; unknown beyond this map."""
-        whole = np.full_like(other.cells, Cell.UNKNOWN)
-        column, row = np.round((self.origin - other.origin) / self.cell_m).astype(int)
-        (rows, own_rows), (columns, own_columns) = (
-            (slice(max(shift, 0), max(shift + own, 0)), slice(max(-shift, 0), None))
-            for shift, own in zip((row, column), self.cells.shape, strict=True)
-        )
-        part = whole[rows, columns]
-        part[:] = self.cells[own_rows, own_columns][: part.shape[0], : part.shape[1]]
-        return GridMap(whole, other.origin, self.cell_m)
+    def cells_within(self, frame: "GridMap") -> UInt8Array:
+        """The cells of a frame that holds this map and has the same cells; unknown beyond it."""
+        cells = np.full_like(frame.cells, Cell.UNKNOWN)
+        column, row = np.round((self.origin - frame.origin) / self.cell_m).astype(int)
+        rows, columns = self.cells.shape
+        cells[row : row + rows, column : column + columns] = self.cells
+        return cells
 
 
 def window(chosen: BoolArray, margin: int) -> tuple[slice, slice]:

@@ -20,6 +20,10 @@ from skimage.measure import find_contours
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m
 
+_IN_LINE_RATIO = 0.85
+"""Maximum width of a mouth in line with a wall, as a share of the space on either side."""
+_ENCLOSED_RATIO = 1.5
+"""Maximum width of all mouths of a room, as a share of its own width."""
 _REACH_M = 8.0
 """Maximum width (m) of a mouth."""
 _CORNER_M = 0.12
@@ -39,15 +43,15 @@ _DEPTH_M = (0.2, 0.6)
 
 
 def find_mouths(
-    free: BoolArray, walls: BoolArray, cell_m: float, *, ratio: float, ratio_in_line: float
+    free: BoolArray, walls: BoolArray, cell_m: float, ratio: float
 ) -> tuple[FloatArray, BoolArray]:
     """Find mouths (n, 2, 2), and the cells (rows, columns) that they close.
 
     The cells are unbroken for four neighbours, and extend through the wall where both of its faces
     have corners.
 
-    free: cells where rooms can be. walls: where openings can end. ratio, ratio_in_line: maximum
-    width of an opening as a share of the space on either side; the second with a wall in line.
+    free: cells where rooms can be. walls: where openings can end. ratio: maximum width of an
+    opening without a wall in line, as a share of the space on either side.
     """
     left, closed = free.copy(), np.zeros(free.shape, bool)
     found: list[FloatArray] = []
@@ -64,7 +68,7 @@ def find_mouths(
             depth = np.linspace(0, 1, int(4 * _FACES_M / cell_m))[:, None, None]
             between: FloatArray = line + depth * (face - line)
         elif all(near_wall(walls, row, column) for column, row in _cells(line)) and (
-            length <= (ratio_in_line if in_line else ratio) * _space_beside(line, left, cell_m)
+            length <= (_IN_LINE_RATIO if in_line else ratio) * _space_beside(line, left, cell_m)
         ):
             found.append(line)
             between = line[None]
@@ -79,12 +83,11 @@ def find_mouths(
 
 
 def join_open_areas(
-    label: IntArray, mouths: FloatArray, distance: FloatArray, *, enclosed: float, cells_min: float
+    label: IntArray, mouths: FloatArray, distance: FloatArray, cells_min: float
 ) -> IntArray:
     """Join areas (rows, columns), 0 for none, across mouths where one of two is small or open.
 
-    distance: of each cell to the nearest obstacle or mouth, in cells. enclosed: maximum width of
-    all mouths of the smaller of two areas, as a share of its own width. cells_min: minimum size.
+    distance: of each cell to the nearest obstacle or mouth, in cells. cells_min: minimum size.
     """
     size = np.bincount(label.ravel()).astype(np.float64)
     width = np.zeros(len(size), np.float32)
@@ -98,7 +101,7 @@ def join_open_areas(
         total = np.bincount(sides[apart].ravel(), np.repeat(length[apart], 2), len(size))
         openness = total / np.maximum(width, 1e-9)
         smaller = np.where(size[first] < size[second], first, second)
-        joined = apart & ((openness[smaller] > enclosed) | (size[smaller] < cells_min))
+        joined = apart & ((openness[smaller] > _ENCLOSED_RATIO) | (size[smaller] < cells_min))
         if not joined.any():
             return np.asarray(number[label])
         # The most open two first: the pieces of a corridor before the rooms beside it.

@@ -119,7 +119,7 @@ def compare_grids(a: GridMap, b: GridMap) -> tuple[FloatArray, FloatArray, dict[
     stops = firsts + np.array([a.cells.shape, b.cells.shape])[:, ::-1]
     columns, rows = stops.max(axis=0) - low
     frame = GridMap(np.full((rows, columns), Cell.UNKNOWN, np.uint8), low * a.cell_m, a.cell_m)
-    cells_a, cells_b = (grid.cropped_to(frame).cells for grid in (a, b))
+    cells_a, cells_b = (grid.cells_within(frame) for grid in (a, b))
     occupied_a, occupied_b = cells_a == Cell.OCCUPIED, cells_b == Cell.OCCUPIED
     free_a, free_b = cells_a == Cell.FREE, cells_b == Cell.FREE
     lost, gained = occupied_a & ~occupied_b, occupied_b & ~occupied_a

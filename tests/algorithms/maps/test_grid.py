@@ -299,24 +299,9 @@ def test_maps_that_are_drawn_together_are_as_if_each_were_alone() -> None:
     together = draw_free(drafts, frame, drive, KNEE_M)
     for draft, grid in zip(drafts, together, strict=True):
         alone, _ = draw_free([draft, drafts[0]], frame, drive, KNEE_M)
-        common = grid.cropped_to(alone)
-        known = common.cells != Cell.UNKNOWN
-        np.testing.assert_array_equal(common.cells[known], alone.cells[known])
+        one, other = grid.cells_within(frame), alone.cells_within(frame)
+        both = (one != Cell.UNKNOWN) & (other != Cell.UNKNOWN)
+        assert np.count_nonzero(both) > 1000
+        np.testing.assert_array_equal(one[both], other[both])
     assert (together[0].cells == Cell.FREE).sum() > 1000
     assert (together[1].cells != together[0].cells).any()
-
-
-@pytest.mark.parametrize("shift", [(0, 0), (3, 1), (-2, 2), (-30, 0), (0, 40)])
-def test_a_map_is_cropped_to_the_area_of_another(shift: tuple[int, int]) -> None:
-    rng = np.random.default_rng(0)
-    kinds = np.array([Cell.OCCUPIED, Cell.UNKNOWN, Cell.FREE], np.uint8)
-    frame = GridMap(rng.choice(kinds, (7, 9)), np.array([1.35, -2.1]), 0.05)
-    own = GridMap(rng.choice(kinds, (8, 6)), frame.origin + 0.05 * np.array(shift), 0.05)
-    cropped = own.cropped_to(frame)
-    assert cropped.cells.shape == frame.cells.shape
-    np.testing.assert_array_equal(cropped.origin, frame.origin)
-    high = frame.origin + 0.05 * np.array([9, 7])
-    for kind in (Cell.OCCUPIED, Cell.FREE):
-        places = own.centres(kind)
-        inside = ((places > frame.origin) & (places < high)).all(axis=1)
-        np.testing.assert_allclose(cropped.centres(kind), places[inside])
