@@ -18,7 +18,6 @@ from rosbags.interfaces import (
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.transforms import quaternion_xyzw
@@ -89,15 +88,9 @@ class BagWriter:
         storage = StoragePlugin.MCAP if self._container == "mcap" else StoragePlugin.SQLITE3
         # A bag's files have the name of their folder, so it is one level down; most releases of
         # ROS 2 read version 8.
-        folder = self._part / self.path.name
-        writer = Ros2Writer(folder, version=8, storage_plugin=storage)
-        writer.open()
-        if isinstance(writer.storage, Sqlite3Writer):
-            # Large pages for large messages; an incomplete file is removed, so without a journal.
-            writer.storage.conn.executescript(
-                "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA page_size=65536; VACUUM;"
-            )
-        return writer
+        ros2 = Ros2Writer(self._part / self.path.name, version=8, storage_plugin=storage)
+        ros2.open()
+        return ros2
 
     def _remove_part(self) -> None:
         if self._part.is_dir():
