@@ -8,7 +8,7 @@
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,36 +37,21 @@ class Truth:
 
     trajectory: T_map_base.
     building: GeoJSON FeatureCollection of walls, doors and rooms, metres in the map frame.
-    classes: the class of every point of the vertical clouds, lidar by lidar.
+    classes: by the frame of a vertical lidar, the topic with the classes of its points.
     """
 
     trajectory: Trajectory | None
     building: dict[str, Any] | None
-    classes: "tuple[TruthClasses, ...]" = ()
-
-    def classes_topics(self, frames: Sequence[str]) -> list[str | None]:
-        """Find the topic of classes of each vertical lidar, by its frame; None without one."""
-        topics = {classes.frame_id: classes.topic for classes in self.classes}
-        return [topics.get(frame) for frame in frames]
+    classes: Mapping[str, str]
 
 
 class TruthClasses:
     """The classes of a vertical lidar's points, by the stamps of its clouds, packets or whole."""
 
     def __init__(self, bag: Bag, topic: str = CLASSES_TOPIC) -> None:
-        self.topic = topic
-        self._bag = bag
+        self._bag, self._topic = bag, topic
         log_time_ns, stamps, _ = read_headers(bag, topic)
         self._log_time_ns = dict(zip(stamps.tolist(), log_time_ns.tolist(), strict=True))
-
-    def __len__(self) -> int:
-        return len(self._log_time_ns)
-
-    @property
-    def frame_id(self) -> str:
-        """The frame of the lidar."""
-        first = self._bag.deserialize(next(self._bag.messages([self.topic])))
-        return str(first.header.frame_id).removeprefix("/")
 
     def at(self, stamp: int, places: int = 0) -> UInt8Array | None:
         """Read the classes (points of the cloud,) uint8; None where there are none for this stamp.
@@ -78,22 +63,14 @@ class TruthClasses:
         if log_time_ns is None:
             return None
         parts: list[UInt8Array] = []
-        for own_stamp, classes in self._read(log_time_ns):
-            if own_stamp == stamp or parts:
-                parts.append(classes)
+        for raw in self._bag.messages([self._topic], log_time_ns):
+            message = self._bag.deserialize(raw)
+            if stamp_ns(message) == stamp or parts:
+                layout = describe_layout(message, self._topic, needed=("truth",))
+                parts.append(points_of(message, layout)["truth"].astype(np.uint8))
             if parts and sum(map(len, parts)) >= places:
                 break
         return np.concatenate(parts)
-
-    def __iter__(self) -> Iterator[tuple[int, UInt8Array]]:
-        """Yield stamp in nanoseconds and classes of each cloud, in the bag's order."""
-        return self._read()
-
-    def _read(self, start_ns: int | None = None) -> Iterator[tuple[int, UInt8Array]]:
-        for raw in self._bag.messages([self.topic], start_ns):
-            message = self._bag.deserialize(raw)
-            layout = describe_layout(message, self.topic, needed=("truth",))
-            yield stamp_ns(message), points_of(message, layout)["truth"].astype(np.uint8)
 
 
 def carries_truth(path: BagPath | Path) -> bool:
@@ -103,12 +80,15 @@ def carries_truth(path: BagPath | Path) -> bool:
 
 
 def read_truth(bag: Bag) -> Truth | None:
-    """Read the ground truth; None without any. The bag must stay open while classes are read.
+    """Read the ground truth; None without any.
 
     Raises InputError where it is damaged.
     """
     has = {name: topic for name, topic in bag.topics.items() if topic.count}
-    classes = tuple(TruthClasses(bag, topic.name) for topic in all_numbered(has, CLASSES_TOPIC))
+    classes = {}
+    for topic in all_numbered(has, CLASSES_TOPIC):
+        first = bag.deserialize(next(bag.messages([topic.name])))
+        classes[str(first.header.frame_id).removeprefix("/")] = topic.name
     if not classes and not has.keys() & {POSE_TOPIC, BUILDING_TOPIC}:
         return None
     return Truth(

@@ -135,7 +135,7 @@ def _open_truth(path: BagPath) -> Iterator[Truth]:
     """Open a bag's ground truth, or a TUM file of the true poses."""
     file, *others = path.parts
     if not others and file.suffix.lower() in _TRUTH_SUFFIXES:
-        yield Truth(read_tum(file), None)
+        yield Truth(read_tum(file), None, {})
         return
     with open_bag(path) as bag:
         truth = read_truth(bag)
@@ -215,7 +215,7 @@ class _Evaluation:
         bag_path = _bag_of(self.run)
         with open_bag(bag_path) as bag:
             lidars = self.run.find_lidars(bag).verticals
-        topics = tuple(truth.classes_topics([lidar.frame_id for lidar in lidars]))
+        topics = tuple(truth.classes.get(lidar.frame_id) for lidar in lidars)
         without = [
             f"{lidar.topic} (frame {lidar.frame_id})"
             for lidar, topic in zip(lidars, topics, strict=True)

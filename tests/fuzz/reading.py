@@ -6,10 +6,11 @@ from pathlib import Path
 from ffmap.app.setup.inputs import find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.loaders.bag import open_bag
+from ffmap.loaders.cloud_index import read_headers
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.scans import read_scans
 from ffmap.loaders.trajectory_file import read_pose_topic, read_tum, write_tum
-from ffmap.loaders.truth import read_truth
+from ffmap.loaders.truth import TruthClasses, read_truth
 
 
 def read_every_scan(path: Path, rig: Path | None = None) -> None:
@@ -27,9 +28,10 @@ def read_truth_and_poses(path: Path) -> None:
             with suppress(InputError):
                 read_pose_topic(bag, topic, "v")
         truth = read_truth(bag)
-        for classes in truth.classes if truth is not None else ():
-            for _ in classes:
-                pass
+        for topic in truth.classes.values() if truth is not None else ():
+            classes = TruthClasses(bag, topic)
+            for stamp in read_headers(bag, topic)[1].tolist():
+                classes.at(stamp)
 
 
 def read_trajectory(path: Path) -> None:

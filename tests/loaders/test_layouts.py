@@ -14,7 +14,7 @@ from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.rig_file import built_in_path, built_in_rigs, rig_path
 from ffmap.loaders.scans import read_scans
 from ffmap.loaders.simulator import LAYOUTS, SimulationSettings, simulate
-from ffmap.loaders.truth import read_truth
+from ffmap.loaders.truth import TruthClasses, read_truth
 from tests.loaders.bag_builder import START_NS, tf_message, write_bag
 
 RIGS = {rig.name: rig for rig in built_in_rigs()}
@@ -83,9 +83,10 @@ def test_each_layout_has_its_topics_fields_rig_and_truth(name: str, bags: dict[s
         assert lidar.decoding.timed
         assert lidar.ring_count == RINGS[name]
         index = lidar.index(bag)
+        true_classes = TruthClasses(bag, truth.classes[lidar.frame_id])
         for _, scan in read_scans(bag, index, 0, len(index) - 1, lidar.decoding):
             assert isinstance(scan, Scan)
-            classes = truth.classes[0].at(scan.stamp_ns, scan.cloud_size)
+            classes = true_classes.at(scan.stamp_ns, scan.cloud_size)
             assert classes is not None
             assert len(classes) == scan.cloud_size
             assert classes[scan.cloud_index].max() <= 10

@@ -7,7 +7,7 @@ import pytest
 
 from ffmap.loaders.bag import make_typestore, open_bag
 from ffmap.loaders.errors import CloudError, InputError
-from ffmap.loaders.truth import read_truth
+from ffmap.loaders.truth import TruthClasses, read_truth
 from tests.loaders.bag_builder import (
     PERIOD_NS,
     START_NS,
@@ -42,13 +42,11 @@ def test_truth(tmp_path):
         truth = read_truth(bag)
         assert truth.trajectory.T_map_base[:, 0, 3].tolist() == [0, 1, 2, 3, 4]
         assert truth.building == json.loads('{"type": "FeatureCollection", "features": []}')
-        (of_lidar,) = truth.classes
-        assert len(of_lidar) == 5
-        assert truth.classes_topics(["lidar", "another"]) == ["/truth/classes", None]
-        for i, (stamp, found) in enumerate(of_lidar):
-            assert stamp == START_NS + i * PERIOD_NS
+        assert truth.classes == {"lidar": "/truth/classes"}
+        of_lidar = TruthClasses(bag)
+        for i in range(5):
+            found = of_lidar.at(START_NS + i * PERIOD_NS)
             np.testing.assert_array_equal(found, classes(i)["truth"])
-            np.testing.assert_array_equal(of_lidar.at(stamp), found)
         assert of_lidar.at(START_NS + 1) is None
 
 
@@ -59,7 +57,7 @@ def test_no_truth_and_truth_in_part(tmp_path):
     with open_bag(write_bag(tmp_path / "b.bag", [pose])) as bag:
         truth = read_truth(bag)
         assert len(truth.trajectory) == 1
-        assert (truth.classes, truth.building) == ((), None)
+        assert (truth.classes, truth.building) == ({}, None)
 
 
 @pytest.mark.parametrize("building", ["{", "[]", '{"type": "Point"}'])
@@ -71,7 +69,6 @@ def test_a_damaged_building(tmp_path, building):
 
 def test_classes_without_the_field(tmp_path):
     field = np.zeros(20, point_dtype([("label", "u1")]))
-    with open_bag(truth_bag(tmp_path / "a.bag", field=field)) as bag:
-        truth = read_truth(bag)
-        with pytest.raises(CloudError, match="no field truth among label"):
-            truth.classes[0].at(START_NS)
+    path = truth_bag(tmp_path / "a.bag", field=field)
+    with open_bag(path) as bag, pytest.raises(CloudError, match="no field truth among label"):
+        TruthClasses(bag).at(START_NS)
