@@ -3,7 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
@@ -97,6 +97,7 @@ class Registration:
     refined_inlier_share, weakest_share, refused, agreement, rival: see `Refinement`; NaN and False
         if poses are not refined. The first is NaN for the second scan, too.
     milliseconds: duration of registration and refinement.
+    left_out: number of the cloud before it that was left out in steady motion; -1 for none.
     """
 
     index: int
@@ -115,6 +116,7 @@ class Registration:
     agreement: float
     rival: float
     milliseconds: float
+    left_out: int = -1
 
 
 def register_scans(
@@ -151,8 +153,8 @@ def register_scans(
             continue
         read = given.read()
         if read is None and left_out is not None:
-            given, read = left_out, left_out.read()
-        left_out = None
+            given, read, left_out = left_out, left_out.read(), None
+        before, left_out = left_out, None
         if read is None:
             continue
         scan, companion = read
@@ -167,7 +169,7 @@ def register_scans(
             continue
         lost_ns = given.stamp_ns if found is None else None
         if found is not None:
-            yield found
+            yield found if before is None else replace(found, left_out=before.index)
 
 
 class _Registrar:

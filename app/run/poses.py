@@ -132,7 +132,8 @@ def _report_odometry(
             f"odometry: read from the cache in {cache_folder()}; set {CACHE_VARIABLE} to use "
             "another folder"
         )
-    skipped = sorted(set(range(len(odometry.sensor.index))) - set(odometry.index.tolist()))
+    known = odometry.left_out.union(odometry.index.tolist())
+    skipped = [cloud for cloud in range(len(odometry.sensor.index)) if cloud not in known]
     if skipped:
         reasons = [cloud.reason for cloud in odometry.failed]
         why = (

@@ -135,6 +135,7 @@ def test_scans_are_left_out_only_while_the_motion_is_steady() -> None:
     given = [GivenScan(i, scan.stamp_ns, partial(reading, i)) for i, scan in scans.items()]
     found = list(register_scans(given, OdometrySettings(), RefinementSettings()))
     assert [r.index for r in found] == read
+    assert {r.left_out for r in found} - {-1} == scans.keys() - set(read)
     steady, turning = np.array(read) < 20, np.array(read) >= 22
     assert steady.sum() <= 13
     assert turning.sum() >= 7
