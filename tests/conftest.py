@@ -1,6 +1,6 @@
-"""How many examples Hypothesis tries: few and always the same, or with --hypothesis-profile=long as many as hours allow.
+"""Hypothesis tries a few examples, always the same; with --hypothesis-profile=long, many.
 
-Compiled code is kept, and linear algebra done, as in the program: that is settled before anything imports NumPy or Numba.
+The environment is that of the program: set before NumPy or Numba are imported.
 """
 
 import os
@@ -14,6 +14,10 @@ os.environ.update(ENVIRONMENT | os.environ | compiled_code())
 
 _SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
-settings.register_profile("default", derandomize=True, deadline=None, max_examples=5, suppress_health_check=_SLOW)
-settings.register_profile("long", deadline=None, max_examples=1200, suppress_health_check=_SLOW, print_blob=True)
+settings.register_profile(
+    "default", derandomize=True, deadline=None, max_examples=5, suppress_health_check=_SLOW
+)
+settings.register_profile(
+    "long", deadline=None, max_examples=1200, suppress_health_check=_SLOW, print_blob=True
+)
 settings.load_profile("default")

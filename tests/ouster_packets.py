@@ -1,7 +1,6 @@
-"""Packets as an Ouster lidar sends them, written by the maker's own library from what each beam is to have measured.
+"""Packets of an Ouster lidar, written by the maker's own library from ranges.
 
-Where the beams lead is computed here, by the equations of the sensor's manual, so that the way back has something to be
-compared with.
+Points are computed from the ranges by the equations of the sensor's manual.
 """
 
 import json
@@ -24,9 +23,26 @@ _SENSOR_ABOVE_MM = 36.18
 
 
 def metadata(profile: str, first_column: int = 0, last_column: int = COLUMNS - 1) -> str:
-    """What the driver publishes of a sensor that looks in these directions."""
+    """The text that the driver publishes about the sensor."""
     shift = np.rint(_AZIMUTH_DEG * COLUMNS / 360).astype(int).tolist()
-    about_z = [-1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0, _SENSOR_ABOVE_MM, 0.0, 0.0, 0.0, 1.0]
+    about_z = [
+        -1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        -1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        _SENSOR_ABOVE_MM,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+    ]
     return json.dumps(
         {
             "prod_line": "OS-1-16",
@@ -35,7 +51,24 @@ def metadata(profile: str, first_column: int = 0, last_column: int = COLUMNS - 1
             "lidar_mode": f"{COLUMNS}x10",
             "beam_altitude_angles": _ELEVATION_DEG.tolist(),
             "beam_azimuth_angles": _AZIMUTH_DEG.tolist(),
-            "beam_to_lidar_transform": [1, 0, 0, _BEAM_ORIGIN_MM, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+            "beam_to_lidar_transform": [
+                1,
+                0,
+                0,
+                _BEAM_ORIGIN_MM,
+                0,
+                1,
+                0,
+                0,
+                0,
+                0,
+                1,
+                0,
+                0,
+                0,
+                0,
+                1,
+            ],
             "lidar_to_sensor_transform": about_z,
             "imu_to_sensor_transform": np.eye(4).reshape(-1).tolist(),
             "data_format": {
@@ -54,9 +87,10 @@ def metadata(profile: str, first_column: int = 0, last_column: int = COLUMNS - 1
 
 @dataclass(frozen=True, eq=False)
 class Revolution:
-    """What a sensor measured in one turn. range_mm: (returns, rows, columns), 0 where nothing returned; time_ns: (columns,).
+    """One turn of a sensor.
 
-    reflectivity, signal: as range_mm.
+    range_mm, reflectivity, signal: (returns, rows, columns), range 0 where nothing returned.
+    time_ns: (columns,).
     """
 
     number: int
@@ -73,7 +107,9 @@ def revolution(number: int, start_ns: int, returns: int = 1, seed: int = 0) -> R
     range_mm = 8 * rng.integers(100, 1000, shape)
     range_mm[rng.random(shape) < 0.1] = 0
     time_ns = start_ns + COLUMN_NS * np.arange(COLUMNS) + rng.integers(0, 50, COLUMNS)
-    return Revolution(number, range_mm, rng.integers(0, 250, shape), rng.integers(0, 60_000, shape), time_ns)
+    return Revolution(
+        number, range_mm, rng.integers(0, 250, shape), rng.integers(0, 60_000, shape), time_ns
+    )
 
 
 def packets(turn: Revolution, told: str) -> list[bytes]:
@@ -90,7 +126,10 @@ def packets(turn: Revolution, told: str) -> list[bytes]:
         for second, own in zip(("", "2"), values, strict=False):
             if frame.has_field(name + second):
                 frame.field(name + second)[:] = own
-    return [bytes(packet.buf) for packet in core.frame_to_packets(frame, core.PacketFormat(sensor), 0, 1)]
+    return [
+        bytes(packet.buf)
+        for packet in core.frame_to_packets(frame, core.PacketFormat(sensor), 0, 1)
+    ]
 
 
 def points_of(turn: Revolution) -> np.ndarray:
@@ -108,12 +147,22 @@ def points_of(turn: Revolution) -> np.ndarray:
     return np.stack([-lidar[0], -lidar[1], lidar[2] + _SENSOR_ABOVE_MM], axis=-1) / 1000.0
 
 
-def metadata_entry(told: str, log_time_ns: int, namespace: str = "/ouster", ros_version: int = 1) -> Entry:
-    return f"{namespace}/metadata", log_time_ns, make_typestore(ros_version).types["std_msgs/msg/String"](told)
+def metadata_entry(
+    told: str, log_time_ns: int, namespace: str = "/ouster", ros_version: int = 1
+) -> Entry:
+    return (
+        f"{namespace}/metadata",
+        log_time_ns,
+        make_typestore(ros_version).types["std_msgs/msg/String"](told),
+    )
 
 
 def packet_entry(
-    data: bytes, log_time_ns: int, namespace: str = "/ouster", ros_version: int = 1, name: str = "lidar_packets"
+    data: bytes,
+    log_time_ns: int,
+    namespace: str = "/ouster",
+    ros_version: int = 1,
+    name: str = "lidar_packets",
 ) -> Entry:
     package = "ouster_ros" if ros_version == 1 else "ouster_sensor_msgs"
     made = make_typestore(ros_version).types[f"{package}/msg/PacketMsg"]

@@ -19,30 +19,36 @@ from ffmap.loaders.find_rig import find_rig
 from ffmap.loaders.rig import Rig
 
 FFMAP = [sys.executable, "-c", "from ffmap.app.cli import main; main()"]
-_WITH_SIGINT = "import os, signal, sys; signal.signal(signal.SIGINT, signal.{}); os.execv(sys.argv[1], sys.argv[1:])"
+_WITH_SIGINT = (
+    "import os, signal, sys; signal.signal(signal.SIGINT, signal.{}); "
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+# An interpreter sets the signal, as a preexec_fn crashes now and then beside threads of gRPC.
 FFMAP_IN_FRONT = [sys.executable, "-c", _WITH_SIGINT.format("SIG_DFL"), *FFMAP]
-"""A shell starts what runs in the background with interrupts ignored, and so would be what such tests start. An interpreter of its
-own says otherwise: a function between fork and exec crashes now and then where the tests' own process has threads of gRPC."""
+"""Interrupted by Ctrl-C, also if the tests themselves run in the background."""
 FFMAP_BEHIND = [sys.executable, "-c", _WITH_SIGINT.format("SIG_IGN"), *FFMAP]
-"""As 'nohup ffmap run ... &' in a script does: Ctrl-C is meant for what runs in front."""
+"""As 'nohup ffmap run ... &' in a script."""
 
 
 def with_cache(folder: Path) -> dict[str, str]:
-    """The environment of a program that keeps its odometry in a folder of the test's own."""
+    """The environment of a program with its own cache of odometries."""
     return {**os.environ, "FFMAP_CACHE": str(folder)}
 
 
-def ffmap(environment: dict[str, str], *words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """In a process of its own: for what the process itself is part of, and for one whole run of each kind of command."""
+def ffmap(
+    environment: dict[str, str], *words: object, cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run a command in a process of its own."""
     command = [*FFMAP, *map(str, words)]
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(
+        command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False
+    )
 
 
-def ffmap_here(environment: dict[str, str], *words: object, cwd: Path = Path()) -> subprocess.CompletedProcess[str]:
-    """The same in this process: it has loaded what commands need, and so has the server that their workers fork from.
-
-    Loading takes a new process and its server some seconds, which is most of a short run.
-    """
+def ffmap_here(
+    environment: dict[str, str], *words: object, cwd: Path = Path()
+) -> subprocess.CompletedProcess[str]:
+    """Run a command in this process, where modules are loaded and workers fork quickly."""
     arguments, out, err, code = ["ffmap", *map(str, words)], StringIO(), StringIO(), 0
     with (
         mock.patch.object(sys, "argv", arguments),
@@ -59,7 +65,7 @@ def ffmap_here(environment: dict[str, str], *words: object, cwd: Path = Path()) 
 
 
 def kill_once(environment: dict[str, str], there: Callable[[], object], *words: object) -> None:
-    """Start the program, and kill it with all that it has started as soon as something is there."""
+    """Start the program; kill it with its workers as soon as `there` is true."""
     process = subprocess.Popen(
         [*FFMAP, *map(str, words)],
         env=environment,
@@ -80,12 +86,15 @@ def rig_of(bag: Path, file: Path | None = None) -> Rig:
 
 
 def write_rig(file: Path, rig: Rig, vertical_off: FloatArray, clock_s: float = 0.0) -> None:
-    """A rig file of two lidars that puts the vertical one off, by (4, 4) in the base and by its clock."""
+    """Write a rig file of two lidars with the vertical one off, by (4, 4) in the base frame."""
     assert rig.horizontal is not None
     assert rig.vertical is not None
     T_vertical = vertical_off @ rig.vertical.T_base_sensor
     text = f'base = "{rig.base_frame}"\n'
-    for topic, T in ((rig.horizontal.topic, rig.horizontal.T_base_sensor), (rig.vertical.topic, T_vertical)):
+    for topic, T in (
+        (rig.horizontal.topic, rig.horizontal.T_base_sensor),
+        (rig.vertical.topic, T_vertical),
+    ):
         text += f'[[lidar]]\ntopic = "{topic}"\ntranslation = {T[:3, 3].tolist()}\n'
         text += f"quaternion_xyzw = {transforms.quaternion_xyzw(T).tolist()}\n"
     file.write_text(f"{text}clock_s = {clock_s}\n")

@@ -1,4 +1,4 @@
-"""A real viewer's process, which needs no display: it receives what a run sends, and saves it."""
+"""A process of the real viewer without a display: it saves what a run sends."""
 
 import os
 import re
@@ -30,13 +30,13 @@ class Receiver:
     process: subprocess.Popen[bytes]
 
     def end(self) -> None:
-        """Kill it with what it has started: `rerun` is a script that starts the viewer."""
+        """Kill it and its children: `rerun` is a script that starts the viewer."""
         with suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
 
     def holds(self, recording: Path) -> bool:
-        """Whether it received all of a recording and no more; it waits while something is missing."""
+        """Wait until it received all of a recording; return whether it received no more."""
         sent, end = content(recording), time.monotonic() + WAITS_S
         while (received := content(self.path)) != sent and time.monotonic() < end:
             time.sleep(0.1)
@@ -45,10 +45,22 @@ class Receiver:
 
 @contextmanager
 def receiving(path: Path) -> Iterator[Receiver]:
-    """A viewer that saves what it receives at a path."""
+    """Start a viewer that saves to a path."""
     port = free_port()
-    command = [sys.executable, "-m", "rerun", "--save", str(path), "--bind", "127.0.0.1", "--port", str(port)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+    command = [
+        sys.executable,
+        "-m",
+        "rerun",
+        "--save",
+        str(path),
+        "--bind",
+        "127.0.0.1",
+        "--port",
+        str(port),
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
     receiver = Receiver(f"rerun+http://127.0.0.1:{port}/proxy", path, process)
     try:
         end = time.monotonic() + WAITS_S
@@ -90,7 +102,9 @@ def shown(path: Path) -> list[str]:
     """The names of the views of the layout that was activated last."""
     command = [sys.executable, "-m", "rerun", "rrd", "print", str(path)]
     printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    *_, last = re.findall(r'BlueprintActivationCommand\(StoreId\(\w+, "\w+", "(\w+)"\), make_active: true', printed)
+    *_, last = re.findall(
+        r'BlueprintActivationCommand\(StoreId\(\w+, "\w+", "(\w+)"\), make_active: true', printed
+    )
     return layouts(path)[last]
 
 

@@ -1,4 +1,4 @@
-"""Imports point one way: between top-level folders by the linter's bans, between rooms by a test."""
+"""Imports point one way, between the top-level folders and between the folders in them."""
 
 import ast
 import os
@@ -19,7 +19,7 @@ ROOMS = {
 
 
 def imported(path: Path) -> set[tuple[str, ...]]:
-    """The parts of this program's modules that a file imports, as ("algorithms", "scan", "doors")."""
+    """Modules of this program that a file imports, as ("algorithms", "scan", "doors")."""
     modules: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):

@@ -12,7 +12,9 @@ DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 def anchors(document: Path) -> set[str]:
     """Of its headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.+)$", document.read_text("utf-8"), re.MULTILINE)
-    return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+    return {
+        re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings
+    }
 
 
 def test_the_first_page_is_short() -> None:
@@ -39,7 +41,10 @@ def rows(document: str, heading: str) -> list[list[str]]:
     below = (ROOT / "docs" / document).read_text("utf-8").split(f"## {heading}\n", 1)[1]
     table = re.search(r"(?:^\|.*\n)+", below, re.MULTILINE)
     assert table
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.group().splitlines()[2:]]
+    return [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in table.group().splitlines()[2:]
+    ]
 
 
 def test_the_first_page_states_the_measured_figures() -> None:
@@ -57,7 +62,15 @@ def test_the_first_page_states_the_measured_figures() -> None:
 def test_each_part_of_the_paper_has_its_file() -> None:
     table = rows("method.md", "Sections of the paper")
     told = " ".join(paper for paper, _, _ in table)
-    for part in ("eq. 1", "eq. 2", "eq. 3", "Algorithm 1", "Table I", "Table II", *(f"Fig. {n}" for n in range(1, 11))):
+    for part in (
+        "eq. 1",
+        "eq. 2",
+        "eq. 3",
+        "Algorithm 1",
+        "Table I",
+        "Table II",
+        *(f"Fig. {n}" for n in range(1, 11)),
+    ):
         assert re.search(rf"{re.escape(part)}(?![0-9I])", told), part
     for paper, _, file in table:
         text = (ROOT / file.strip("`")).read_text("utf-8")

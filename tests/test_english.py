@@ -1,4 +1,4 @@
-"""The words of the program: documents, messages, docstrings and comments in plain technical English."""
+"""The words of the program: documents, messages, docstrings and comments in plain English."""
 
 import io
 import re
