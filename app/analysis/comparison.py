@@ -29,8 +29,9 @@ from ffmap.algorithms.truth.changes import (
 from ffmap.algorithms.truth.doors import match_doors
 from ffmap.algorithms.truth.poses import compare_trajectories
 from ffmap.app.analysis.figures import Figure, read_figures
-from ffmap.app.analysis.run_labels import CloudLabels, read_run_labels, side_by_side
+from ffmap.app.analysis.run_labels import read_run_labels, side_by_side
 from ffmap.app.folder.finished_run import FinishedRun
+from ffmap.app.folder.labels_file import ScanLabels
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import DOORS, LABELS, TRAJECTORY, WALLS, map_file
 from ffmap.app.record.read_back import ReadableRecording
@@ -74,7 +75,7 @@ CHANGES = {
 }
 """Numbers that describe what differs between two runs."""
 
-ChangedPoints = Callable[[str, CloudLabels, FloatArray, UInt8Array, UInt8Array], None]
+ChangedPoints = Callable[[str, ScanLabels, FloatArray, UInt8Array, UInt8Array], None]
 """Receives the second run's letter, each compared cloud, and positions (c, 3), classes before (c,)
 and classes after (c,) of its changed points."""
 
@@ -192,10 +193,11 @@ def _compare_labels(change: Change, changed_points: ChangedPoints) -> str | None
     voxels = VoxelTable(VOXEL_M, TRANSITIONS)
     rows: list[tuple[int, int, IntArray, int]] = []
     only_a = only_b = unlike = 0
-    for one, other in side_by_side(first, second):
-        if one is None or other is None:
-            only_a, only_b = only_a + (other is None), only_b + (one is None)
+    for in_a, in_b in side_by_side(first, second):
+        if in_a is None or in_b is None:
+            only_a, only_b = only_a + (in_b is None), only_b + (in_a is None)
             continue
+        (one, points), (other, other_points) = in_a, in_b
         if len(one.label) != len(other.label):
             unlike += 1
             continue
@@ -203,7 +205,8 @@ def _compare_labels(change: Change, changed_points: ChangedPoints) -> str | None
         changed_scan = int(np.count_nonzero(one.label_scan != other.label_scan))
         rows.append((one.scan, one.stamp_ns, counts, changed_scan))
         changed = one.label != other.label
-        points = one.points_map if one.points_map is not None else other.points_map
+        if points is None:
+            points = other_points
         if points is None:
             points = np.full((len(changed), 3), np.nan, np.float32)
         changed &= np.isfinite(points).all(axis=1)

@@ -12,7 +12,7 @@ from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
 from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.algorithms.scan.smoothing import smooth_ranges
-from ffmap.app.analysis.run_labels import labels_file, read_run_labels
+from ffmap.app.analysis.run_labels import read_run_labels
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.folder.names import EVALUATION, LABELS
@@ -137,7 +137,7 @@ def _recorded_labels(
 
     label: (n,) by the scan, now. Both are None if the run has no labels of this scan.
     """
-    path = labels_file(run)
+    path = run.file(LABELS)
     recorded = read_labels(path, number, 1).get(number) if path is not None else None
     if recorded is None:
         return None, None
@@ -162,7 +162,7 @@ def find_worst(run: FinishedRun) -> tuple[int, str]:
                 percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
     if not percent:
         why = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
-        for cloud in read_run_labels(run):
+        for cloud, _ in read_run_labels(run):
             own = cloud.label_scan != NO_RETURN
             if own.any():
                 changed = (cloud.label != cloud.label_scan)[own]

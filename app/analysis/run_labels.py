@@ -6,17 +6,15 @@ by point.
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
 
-from ffmap.algorithms.base.scan import FloatArray, Scan, UInt8Array
+from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.trajectory import Trajectory, place_scan
 from ffmap.algorithms.scan.smoothing import smooth_ranges
 from ffmap.app.folder.finished_run import FinishedRun
-from ffmap.app.folder.labels_file import stream_labels
+from ffmap.app.folder.labels_file import ScanLabels, stream_labels
 from ffmap.app.folder.names import LABELS
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
@@ -26,56 +24,34 @@ from ffmap.loaders.scan_order import ScanOrder
 from ffmap.loaders.scans import SkippedScan, read_scans
 from ffmap.loaders.trajectory_file import read_tum
 
-
-@dataclass(frozen=True, eq=False)
-class CloudLabels:
-    """Labels (m,) of every place in a cloud, 255 without a return.
-
-    scan: number among the labelled clouds.
-    label: final. label_scan: by the scan alone.
-    points_map: (m, 3) float32 metres, NaN without a return or a pose; None unless requested.
-    """
-
-    scan: int
-    topic: str
-    stamp_ns: int
-    label: UInt8Array
-    label_scan: UInt8Array
-    points_map: FloatArray | None
-
-    @property
-    def key(self) -> tuple[int, str]:
-        """What identifies the cloud in its bag; increases."""
-        return self.stamp_ns, self.topic
+PlacedLabels = tuple[ScanLabels, FloatArray | None]
+"""Labels of a cloud, and the returns (m, 3) float32 in the map, NaN without a return or a pose."""
 
 
-def labels_file(run: FinishedRun) -> Path | None:
-    """Return the file of a run's labels, None without one."""
-    return run.file(LABELS) if run.trajectory is not None else None
+def read_run_labels(run: FinishedRun, with_points: bool = False) -> Iterator[PlacedLabels]:
+    """Yield the labels of every usable cloud by time stamp; none if the run has no labels.
 
-
-def read_run_labels(run: FinishedRun, with_points: bool = False) -> Iterator[CloudLabels]:
-    """Yield the labels of every usable cloud by time stamp.
-
-    with_points: whether the returns are placed in the map; requires the run's bag.
+    with_points: whether the returns are placed in the map; requires the run's bag and trajectory.
     Raises InputError if the file is damaged, or belongs to another bag than is at the run's path.
     """
-    path = labels_file(run)
-    if path is None or run.trajectory is None:
+    path = run.file(LABELS)
+    if path is None:
         return
-    points = _placed_clouds(run, read_tum(run.trajectory)) if with_points else iter(())
+    points: Iterator[tuple[int, FloatArray]] = iter(())
+    if with_points and run.trajectory is not None:
+        points = _placed_clouds(run, read_tum(run.trajectory))
     following = next(points, None)
     try:
-        for row in stream_labels(path):
-            while following is not None and following[0] < row.scan:
+        for labels in stream_labels(path):
+            while following is not None and following[0] < labels.scan:
                 following = next(points, None)
-            own = following[1] if following is not None and following[0] == row.scan else None
-            if own is not None and len(own) != len(row.label):
+            own = following[1] if following is not None and following[0] == labels.scan else None
+            if own is not None and len(own) != len(labels.label):
                 raise InputError(
                     f"{run.bag_path}: is not the bag that {run.path} was made from; put that one "
                     "there, or move this one away"
                 )
-            yield CloudLabels(row.scan, row.topic, row.stamp_ns, row.label, row.label_scan, own)
+            yield labels, own
     except (OSError, KeyError, IndexError, pa.ArrowException) as error:
         raise InputError(
             f"{path}: cannot be read, or is not of this run ({error}); run ffmap again"
@@ -114,12 +90,16 @@ def _placed_clouds(run: FinishedRun, trajectory: Trajectory) -> Iterator[tuple[i
 
 
 def side_by_side(
-    first: Iterator[CloudLabels], second: Iterator[CloudLabels]
-) -> Iterator[tuple[CloudLabels | None, CloudLabels | None]]:
-    """Pair the clouds of two runs; None if one of them lacks the cloud."""
+    first: Iterator[PlacedLabels], second: Iterator[PlacedLabels]
+) -> Iterator[tuple[PlacedLabels | None, PlacedLabels | None]]:
+    """Pair the clouds of two runs by stamp and topic; None if one of them lacks the cloud."""
+
+    def key(cloud: PlacedLabels) -> tuple[int, str]:
+        return cloud[0].stamp_ns, cloud[0].topic
+
     a, b = next(first, None), next(second, None)
     while a is not None or b is not None:
-        takes_a = a is not None and (b is None or a.key <= b.key)
-        takes_b = b is not None and (a is None or b.key <= a.key)
+        takes_a = a is not None and (b is None or key(a) <= key(b))
+        takes_b = b is not None and (a is None or key(b) <= key(a))
         yield (a if takes_a else None), (b if takes_b else None)
         a, b = (next(first, None) if takes_a else a), (next(second, None) if takes_b else b)

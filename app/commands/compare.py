@@ -19,10 +19,10 @@ from ffmap.app.analysis.comparison_tables import (
     print_tables,
     runs_document,
 )
-from ffmap.app.analysis.run_labels import CloudLabels
 from ffmap.app.commands.inspect import open_viewer
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.finished_run import FinishedRun, open_run
+from ffmap.app.folder.labels_file import ScanLabels
 from ffmap.app.folder.names import check_no_run_loses, require_writable
 from ffmap.app.progress import Progress
 from ffmap.app.record import comparison as recorder
@@ -125,7 +125,7 @@ def _write(
 
         def log_changed(
             letter: str,
-            cloud: CloudLabels,
+            cloud: ScanLabels,
             points: FloatArray,
             before: UInt8Array,
             after: UInt8Array,

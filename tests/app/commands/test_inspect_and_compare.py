@@ -115,7 +115,7 @@ def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str
     (found,) = report(compared)["comparisons"]
     changed_points = recorded(compared, f"/changes/{'B'}/points")
     placed = read_run_labels(open_run(runs["usual"]), with_points=True)
-    places = {cloud.scan: cloud.points_map for cloud in placed}
+    places = {cloud.scan: points for cloud, points in placed}
     for scan, stamp in enumerate(sorted(a)):
         (label_a, scan_a), (label_b, scan_b) = a[stamp], b[stamp]
         differs, valid = label_a != label_b, (label_a != NO_RETURN) | (label_b != NO_RETURN)
@@ -201,9 +201,8 @@ def test_points_of_the_bag_lie_where_the_recording_has_them(runs: dict[str, Path
         T = transforms.from_quaternion(pose["translation"][0], pose["quaternion"][0])
         seen[row.scan] = transforms.apply(T, row.values["positions"].astype(np.float64))
     off_m = []
-    for cloud in read_run_labels(open_run(runs["usual"]), with_points=True):
-        assert cloud.points_map is not None
-        own = cloud.points_map[cloud.label_scan != NO_RETURN]
+    for cloud, points in read_run_labels(open_run(runs["usual"]), with_points=True):
+        own = points[cloud.label_scan != NO_RETURN]
         off_m.append(np.linalg.norm(own - seen[cloud.scan], axis=1))
     assert np.median(np.concatenate(off_m)) < 0.006
     assert np.quantile(np.concatenate(off_m), 0.95) < 0.02
