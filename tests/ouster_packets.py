@@ -25,24 +25,8 @@ _SENSOR_ABOVE_MM = 36.18
 def metadata(profile: str, first_column: int = 0, last_column: int = COLUMNS - 1) -> str:
     """The text that the driver publishes about the sensor."""
     shift = np.rint(_AZIMUTH_DEG * COLUMNS / 360).astype(int).tolist()
-    about_z = [
-        -1.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        -1.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        1.0,
-        _SENSOR_ABOVE_MM,
-        0.0,
-        0.0,
-        0.0,
-        1.0,
-    ]
+    beam_to_lidar, lidar_to_sensor = np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0])
+    beam_to_lidar[0, 3], lidar_to_sensor[2, 3] = _BEAM_ORIGIN_MM, _SENSOR_ABOVE_MM
     return json.dumps(
         {
             "prod_line": "OS-1-16",
@@ -51,26 +35,9 @@ def metadata(profile: str, first_column: int = 0, last_column: int = COLUMNS - 1
             "lidar_mode": f"{COLUMNS}x10",
             "beam_altitude_angles": _ELEVATION_DEG.tolist(),
             "beam_azimuth_angles": _AZIMUTH_DEG.tolist(),
-            "beam_to_lidar_transform": [
-                1,
-                0,
-                0,
-                _BEAM_ORIGIN_MM,
-                0,
-                1,
-                0,
-                0,
-                0,
-                0,
-                1,
-                0,
-                0,
-                0,
-                0,
-                1,
-            ],
-            "lidar_to_sensor_transform": about_z,
-            "imu_to_sensor_transform": np.eye(4).reshape(-1).tolist(),
+            "beam_to_lidar_transform": beam_to_lidar.ravel().tolist(),
+            "lidar_to_sensor_transform": lidar_to_sensor.ravel().tolist(),
+            "imu_to_sensor_transform": np.eye(4).ravel().tolist(),
             "data_format": {
                 "pixels_per_column": len(_ELEVATION_DEG),
                 "columns_per_packet": COLUMNS_A_PACKET,
