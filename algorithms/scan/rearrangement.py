@@ -1,4 +1,4 @@
-"""What floor, ceilings and point lines share (paper, III.A): settings, nearly level planes."""
+"""What floor and ceilings share (paper, III.A): settings, nearly level planes."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,7 +16,7 @@ _LEVEL_PRIOR = 0.02  # weight of a level plane against the returns' second momen
 
 
 class RearrangementSettings(StepSettings):
-    """Floor, ceiling and point lines (paper, III.A)."""
+    """Floor and ceilings (paper, III.A)."""
 
     floor_height_m: float = Field(
         0.045,
