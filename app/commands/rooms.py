@@ -73,7 +73,13 @@ def rooms(
             )
         _segment_folder(path, out or Path("rooms"), options)
         return
-    out = out or Path("rooms") / path.stem
+    if out is None:
+        out = Path("rooms") / path.stem
+        if (before := _mapped(out)) not in (None, str(path.resolve())):
+            raise InputError(
+                f"{out}: has the rooms of {before} already; give another folder to --out, or the "
+                "same to replace them"
+            )
     graph, figures = _segment(path, out, truth, options)
     rows = [
         (room.name, f"{room.area_m2:.1f}", ", ".join(graph.neighbours(index)) or "–")
@@ -135,10 +141,7 @@ def _segment(
 def _check_out(out: Path, read: set[Path]) -> None:
     """Raise InputError where a file would be replaced that is read, or is not of this command."""
     read = {file.resolve() for file in read}
-    try:
-        ours = "map" in read_object(out / TOPOLOGY, "")
-    except InputError:
-        ours = False
+    ours = _mapped(out) is not None
     for file in (out / name for name in FILES):
         check_no_run_loses(file)
         if file.resolve() in read:
@@ -149,6 +152,14 @@ def _check_out(out: Path, read: set[Path]) -> None:
             raise InputError(
                 f"{file}: is there already, and not by 'ffmap rooms'; give another folder to --out"
             )
+
+
+def _mapped(out: Path) -> str | None:
+    """Return the map whose rooms a folder has."""
+    try:
+        return str(read_object(out / TOPOLOGY, "")["map"])
+    except (InputError, LookupError):
+        return None
 
 
 def _segment_folder(folder: Path, out: Path, options: _Options) -> None:
@@ -167,6 +178,11 @@ def _segment_folder(folder: Path, out: Path, options: _Options) -> None:
             _, figures = _segment(path, out / path.stem, truth, options)
         except InputError as error:
             failed.append(str(error))
+            continue
+        except Exception as error:
+            # One map of many must not end the others.
+            reason = f"could not be segmented ({type(error).__name__}: {error})"
+            failed.append(f"{path}: {reason}; leave it out, and report it")
             continue
         assert figures is not None
         kind = path.stem.removeprefix(truth.stem.removesuffix(TRUTH_SUFFIX))

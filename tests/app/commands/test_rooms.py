@@ -12,6 +12,7 @@ import yaml
 from PIL import Image
 from rerun.chunk import RrdReader
 
+from ffmap.app.commands import rooms as rooms_command
 from tests.program import ffmap_here
 
 AREAS_M2 = {"left": 4.0 * 5.0, "right": 5.0 * 5.0}
@@ -98,6 +99,18 @@ def test_a_map_of_map_servers_gives_outlines_areas_and_topology_in_its_frame(
     assert not list((tmp_path / "found").glob("*.part"))
 
 
+def test_rooms_of_another_map_of_the_same_name_are_left_alone(ffmap, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        save_map(tmp_path / name, two_rooms())
+    assert ffmap("rooms", tmp_path / "a" / "map.yaml")[0] == 0
+    before = (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns
+    other = tmp_path / "b" / "map.yaml"
+    assert_one_line(ffmap("rooms", other), "rooms/map", str(tmp_path / "a" / "map.yaml"), "--out")
+    assert (tmp_path / "rooms" / "map" / "rooms.geojson").stat().st_mtime_ns == before
+    assert ffmap("rooms", other, "--out", tmp_path / "rooms" / "map")[0] == 0
+
+
 def test_what_is_not_of_the_maps_rooms_is_left_alone(ffmap, tmp_path: Path) -> None:
     save(tmp_path / "rooms.png", two_rooms())
     options = ("rooms.png", "--resolution", 0.05, "--out")
@@ -164,16 +177,30 @@ def test_truth_gives_recall_and_precision_and_a_folder_their_means(ffmap, tmp_pa
     assert "mean of 1 furnitures" in out
 
 
-def test_a_map_that_fails_leaves_the_others_of_its_folder(ffmap, tmp_path: Path) -> None:
-    for name in "ac":
+def test_a_map_that_fails_leaves_the_others_of_its_folder(
+    ffmap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in "abc":
         save(tmp_path / f"{name}.png", two_rooms(free=255))
         save(tmp_path / f"{name}_gt_segmentation.png", two_rooms(free=255))
     (tmp_path / "a.png").write_text("no image")
+    segment = rooms_command.find_rooms
+    maps = iter(["b", "c"])
+
+    def failing(*given: object) -> object:
+        if next(maps) == "b":
+            raise ValueError("a fault of ours")
+        return segment(*given)
+
+    monkeypatch.setattr(rooms_command, "find_rooms", failing)
     code, out, err = ffmap("rooms", tmp_path, "--resolution", 0.05, "--out", "found")
     assert code == 2
     assert "│ c " in out
     assert "mean of 1 plain" in out
-    assert [line.startswith("ffmap: ") and "a.png" in line for line in err.splitlines()] == [True]
+    unreadable, fault = err.splitlines()
+    assert "a.png" in unreadable
+    assert "b.png: could not be segmented (ValueError: a fault of ours)" in fault
+    (tmp_path / "b.png").unlink()
     (tmp_path / "c.png").unlink()
     assert_one_line(ffmap("rooms", tmp_path, "--resolution", 0.05, "--out", "none"), "a.png")
 
