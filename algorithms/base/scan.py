@@ -98,7 +98,7 @@ class Scan:
 
 
 def sort_groups(
-    group: IntArray, key: FloatArray, groups: int
+    group: IntArray, key: FloatArray | IntArray, groups: int
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Sort rows by group (n,), and within a group by key (n,).
 
@@ -159,11 +159,18 @@ def in_canonical_order(scan: Scan) -> Scan:
     step, step_within = np.diff(keys[0]), np.diff(keys[1])
     if np.all((step > 0) | ((step == 0) & (step_within > 0))):
         return scan
-    order = np.lexsort(keys[::-1])
+    if keys[0] is from_top:
+        order = sort_groups(from_top, keys[1], scan.ring_count)[0]
+    else:
+        order = np.lexsort(keys[::-1])
     same = [np.diff(key[order]) == 0 for key in keys]
-    if np.any(same[0] & same[1]):
+    tied = np.flatnonzero(same[0] & same[1])
+    if len(tied):
         # Several returns of one ray.
-        order = np.lexsort((z, y, x, *keys[::-1]))
+        places = np.union1d(tied, tied + 1)
+        rows = order[places]
+        by_all = np.lexsort([key[rows] for key in (z, y, x, *keys[::-1])])
+        order[places] = rows[by_all]
     return scan if np.array_equal(order, np.arange(len(scan))) else subset(scan, order)
 
 
