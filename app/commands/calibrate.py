@@ -125,7 +125,7 @@ def _rig_text(inputs: Inputs, checked: Sequence[CheckedExtrinsics]) -> str:
     ]
     text.append(f"base = {json.dumps(inputs.rig.base_frame)}")
     labelled = {sensor.lidar.topic for sensor in inputs.verticals}
-    for sensor in inputs.used(given_poses=False):
+    for sensor in inputs.sensors:
         lidar = sensor.lidar
         drives = inputs.horizontal is not None and lidar.topic == inputs.horizontal.lidar.topic
         role = "vertical" if not drives else "both" if lidar.topic in labelled else "horizontal"

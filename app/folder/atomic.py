@@ -28,16 +28,11 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, content: object) -> None:
-    """Write `json_text`."""
-    write_text(path, json_text(content))
-
-
-def json_text(content: object) -> str:
-    """Format JSON; numbers that are not finite become null, arrays lists."""
+    """Write JSON; numbers that are not finite become null, arrays lists."""
     plain = to_jsonable_python(
         content, inf_nan_mode="null", fallback=lambda of_numpy: of_numpy.tolist()
     )
-    return json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    write_text(path, json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def write_geojson(path: Path, features: Sequence[dict[str, Any]]) -> None:

@@ -13,7 +13,7 @@ from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.folder.atomic import write_geojson
 
 
-def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None) -> None:
+def write_walls(path: Path, walls: Walls, thickness_m: FloatArray) -> None:
     """Write wall faces as LineStrings; all lengths in metres, in the map frame.
 
     thickness_m: (W,) of each face's wall, NaN where its other side was not seen.
@@ -26,16 +26,14 @@ def write_walls(path: Path, walls: Walls, thickness_m: FloatArray | None = None)
             "scans": walls.scan_count[i],
             "rms": walls.rms_m[i],
             "samples": walls.sample_count[i],
-            "thickness": _millimetres(thickness_m[i]) if thickness_m is not None else None,
+            "thickness": _millimetres(thickness_m[i]),
         }
         for i in range(len(walls))
     ]
     _write_lines(path, walls.ends, properties)
 
 
-def write_doors(
-    path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None] | None = None
-) -> None:
+def write_doors(path: Path, doors: Doors, rooms: Sequence[Sequence[str | None] | None]) -> None:
     """Write doors as LineStrings along the sill between the jambs, in the map frame.
 
     The line is below the leaf of a closed door, and in the middle of an open one's reveals.
@@ -49,7 +47,7 @@ def write_doors(
             "depth": _millimetres(doors.depth_m[i]),
             "confidence": doors.confidence[i],
             "crossed": bool(doors.crossed[i]),
-            "rooms": rooms[i] if rooms is not None else None,
+            "rooms": rooms[i],
         }
         for i, width_m in enumerate(lengths_m(doors.ends))
     ]

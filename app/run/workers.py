@@ -9,12 +9,10 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import connection, forkserver
-from typing import TYPE_CHECKING, Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 from ffmap.loaders.errors import InputError
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 T = TypeVar("T")
 
@@ -80,7 +78,7 @@ class _Serial(Executor):
 
 @contextmanager
 def run_executor(
-    workers: int, scheduler: str | None, needed: "list[Path]", say: Callable[[str], None]
+    workers: int, scheduler: str | None, needed: list[Path], say: Callable[[str], None]
 ) -> Iterator[Executor]:
     """Run jobs here, or on the cluster of a scheduler. needed: files that its workers read."""
     if scheduler is None:

@@ -67,11 +67,6 @@ class Inputs:
         roles = {} if self.horizontal is None else {"horizontal": self.horizontal}
         return roles | {numbered("vertical", i): sensor for i, sensor in enumerate(self.verticals)}
 
-    @property
-    def line_pairs(self) -> int | None:
-        """Maximum number of pairs of point lines; None without a vertical lidar."""
-        return max((sensor.lidar.line_pairs for sensor in self.verticals), default=None)
-
     def with_mounts(self, mounts: Iterable[MountCorrection]) -> "Inputs":
         """Replace the extrinsics of vertical lidars."""
         rig = self.rig
@@ -81,10 +76,10 @@ class Inputs:
         verticals = tuple(replace(sensor, lidar=lidar) for sensor, lidar in sensors)
         return replace(self, rig=rig, verticals=verticals)
 
-    def used(self, given_poses: bool) -> list[Sensor]:
-        """List the lidars whose clouds a run reads. given_poses: whether it has poses already."""
-        wanted = (None if given_poses else self.horizontal, *self.verticals)
-        return [*{sensor.lidar.topic: sensor for sensor in wanted if sensor is not None}.values()]
+    @property
+    def sensors(self) -> list[Sensor]:
+        """All lidars, each once."""
+        return [*{sensor.lidar.topic: sensor for sensor in self.by_role.values()}.values()]
 
 
 def find_lidars(

@@ -9,12 +9,12 @@ import pytest
 from rosbags.rosbag1 import Reader, Writer
 
 from ffmap.algorithms.building.final_labels import Relabelling
-from ffmap.app.cli import main
 from ffmap.app.run import blocks
 from ffmap.loaders.bag import Message, make_typestore
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from tests.app.run.test_scans import failing
 from tests.loaders.bag_builder import CLOUD
+from tests.program import ffmap_here, with_cache
 
 VERTICAL, HORIZONTAL = "/vertical_velodyne/velodyne_points", "/horizontal_velodyne/velodyne_points"
 
@@ -60,7 +60,7 @@ def all_far_away(message: Message) -> None:
 
 
 def test_clouds_that_are_wrong_cost_themselves_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     values = {"building": "small", "seed": 3, "sensor": "vlp16", "duration_s": 1.5}
     simulate(tmp_path / "sound.bag", SimulationSettings.model_validate(values))
@@ -74,27 +74,13 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
             (HORIZONTAL, 6): truncated,  # Number 5 is left out, as the motion is steady
         },
     )
-    monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(
         Relabelling, "labels", failing(Relabelling.labels, {2}, ValueError("no face"))
     )
     out = tmp_path / "run"
-    words = [
-        "run",
-        bag,
-        "--out",
-        out,
-        "--outputs",
-        "labels,maps",
-        "--no-evaluate",
-        "--quiet",
-        "--workers",
-        "1",
-    ]
-    monkeypatch.setattr("sys.argv", ["ffmap", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 0, capsys.readouterr().err
+    options = ("--outputs", "labels,maps", "--no-evaluate", "--quiet", "--workers", 1)
+    done = ffmap_here(with_cache(tmp_path / "cache"), "run", bag, "--out", out, *options)
+    assert done.returncode == 0, done.stderr
     record = json.loads((out / "run.json").read_text())
     counts = record["counts"]
     assert counts["clouds"] - counts["scans"] == 2
@@ -115,22 +101,14 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
 
 
 def test_a_run_whose_scans_fail_ends_with_one_line_and_keeps_the_traceback(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    small_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    simulate(
-        tmp_path / "a.bag", SimulationSettings(building="small", sensor="vlp16", duration_s=1.5)
-    )
-    monkeypatch.setenv("FFMAP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(
-        blocks, "label_scan", failing(blocks.label_scan, set(range(99)), ValueError("no wall"))
-    )
-    words = ["run", tmp_path / "a.bag", "--out", tmp_path / "run", "--quiet", "--workers", "1"]
-    monkeypatch.setattr("sys.argv", ["ffmap", *map(str, words)])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = capsys.readouterr().err
-    assert ended.value.code == 2
-    assert "labelling failed for 14 of 14 scans so far, 14 times with ValueError: no wall" in said
+    failing_scan = failing(blocks.label_scan, set(range(99)), ValueError("no wall"))
+    monkeypatch.setattr(blocks, "label_scan", failing_scan)
+    words = ("run", small_bag, "--out", tmp_path / "run", "--quiet", "--workers", 1)
+    done = ffmap_here(with_cache(small_bag.parent / "cache"), *words)
+    assert done.returncode == 2
+    assert "so far, 20 times with ValueError: no wall" in done.stderr
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["outcome"] == "aborted"
     assert "raise error" in record["tracebacks"]["ValueError: no wall"]
