@@ -5,13 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffmap.algorithms.base.labels import NO_RETURN, Verdict
-from ffmap.algorithms.base.scan import BoolArray, Scan, UInt8Array, within_range
-from ffmap.algorithms.base.trajectory import EXTRAPOLATE_NS
+from ffmap.algorithms.base.scan import BoolArray, Scan, UInt8Array
 from ffmap.algorithms.building.label_reasons import REASONS
-from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
-from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
+from ffmap.algorithms.poses.levelling import LevelledScan
+from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import PointLines
-from ffmap.algorithms.scan.smoothing import smooth_ranges
 from ffmap.app.analysis.run_labels import read_run_labels
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import read_labels
@@ -20,7 +18,7 @@ from ffmap.app.record.errors import VERDICT_COLORS
 from ffmap.app.record.inspection import ScanFaults
 from ffmap.app.record.line_reasons import name_of
 from ffmap.app.record.read_back import readable, rows
-from ffmap.app.run.blocks import seed_of
+from ffmap.app.run.blocks import Block, label_alone, usable
 from ffmap.app.run.given_poses import given_poses
 from ffmap.app.run.poses import estimate_poses
 from ffmap.app.setup.inputs import Inputs
@@ -68,35 +66,21 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         raise InputError(f"--scan {number}: {run.name} has scans 0 to {last}")
     vertical = inputs.verticals[inputs.scans.lidar[number]]
     cloud, lidar = int(inputs.scans.cloud[number]), vertical.lidar
-    with open_bag(inputs.bag_path) as opened:
-        _, scan = next(read_scans(opened, vertical.index, cloud, 1, lidar.decoding))
-    if isinstance(scan, SkippedScan):
-        raise _skipped(number, scan.reason)
-    scan = within_range(scan, settings.scan.range_max_m)
     options = run.record.options
     given = given_poses(options.trajectory, inputs, settings, options.trajectory_frame)
     poses = estimate_poses(inputs, given, settings, lambda: digest)
-    swept_ns = np.array([scan.start_ns, scan.end_ns])
-    if not poses.registered.covers(swept_ns, EXTRAPOLATE_NS).all():
-        raise _skipped(number, "no pose at its time")
+    block = Block(number, 1, inputs, settings, poses, "", None, run.path)
+    with open_bag(inputs.bag_path) as opened:
+        _, read = next(read_scans(opened, vertical.index, cloud, 1, lidar.decoding))
+    scan = usable(number, read, block)
+    if isinstance(scan, SkippedScan):
+        raise _skipped(number, scan.reason)
     try:
-        scan = lidar.seen(scan, poses.registered)
-        level = place_and_level(
-            scan,
-            smooth_ranges(scan, settings.smoothing),
-            poses.registered,
-            lidar.T_base_sensor,
-            poses.base_height_m,
-            poses.floor_slope,
-            settings.rearrangement,
-        )
-        seed = seed_of(settings.seed, cloud)
-        labelling = label_scan(
-            scan, level.placed, settings.method, seed, level.floor, lidar.column_pairs
-        )
+        alone = label_alone(number, scan, block)
     except Exception as error:
         failed = SkippedScan.failed(number, scan.stamp_ns, error)
         raise _skipped(number, failed.reason) from error
+    scan, level, labelling = alone.scan, alone.level, alone.labelling
     final, differing = _recorded_labels(run, number, scan, labelling.label)
     faults, changed_wrongly = None, None
     if final is not None:

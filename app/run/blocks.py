@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,18 +16,18 @@ from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, UInt8Array, w
 from ffmap.algorithms.base.trajectory import (
     EXTRAPOLATE_NS,
     PlacedScan,
-    Trajectory,
     level_frame,
 )
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.rivals import Rival, rival_returns
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan
-from ffmap.algorithms.scan.smoothing import smooth_ranges
+from ffmap.algorithms.scan.smoothing import SmoothedRanges, smooth_ranges
 from ffmap.algorithms.scan.summary import NO_INTENSITY, Features, concatenate, extract
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_lidar, log_scan, log_skipped, scan_metrics
 from ffmap.app.run.arrays import map_arrays, pack, pack_rows, unpack_rows, write_arrays
+from ffmap.app.run.poses import RunPoses
 from ffmap.app.run.sampled_scans import transform
 from ffmap.app.setup.inputs import Inputs
 from ffmap.app.setup.outputs import Detail
@@ -49,8 +49,7 @@ _GRID_M = 0.001
 class Block:
     """Scans [first, first + count) in the order of all clouds, and what labels them.
 
-    trajectory, registered: T_map_base around these scans, with loops closed and without.
-    base_height_m: height of the base above the floor. floor_slope: (2,) of the map's floor.
+    poses: around these scans.
     detail: None where nothing is recorded. path: of its files, without their suffixes.
     resumed: whether an earlier start of the run may have labelled it.
     """
@@ -59,10 +58,7 @@ class Block:
     count: int
     inputs: Inputs
     settings: Settings
-    trajectory: Trajectory
-    registered: Trajectory
-    base_height_m: float
-    floor_slope: FloatArray
+    poses: RunPoses
     recording_id: str
     detail: Detail | None
     path: Path
@@ -210,7 +206,7 @@ def label_block(block: Block) -> LabelledBlock:
         watch = _Stopwatch()
         for number, place, read in _read(block):
             watch.lap("reading")
-            scan = _usable(number, read, block)
+            scan = usable(number, read, block)
             if isinstance(scan, Scan):
                 assert isinstance(read, Scan)
                 try:
@@ -259,28 +255,11 @@ def _label(
     watch: "_Stopwatch",
 ) -> _Labelled:
     """Label and record one scan. place: of its lidar among the labelled ones."""
-    inputs, settings = block.inputs, block.settings
+    inputs = block.inputs
     lidar, cloud = inputs.verticals[place].lidar, int(inputs.scans.cloud[number])
-    scan = lidar.seen(scan, block.registered)
-    ranges = smooth_ranges(scan, settings.smoothing)
-    watch.lap("smoothing")
-    level = place_and_level(
-        scan,
-        ranges,
-        block.registered,
-        lidar.T_base_sensor,
-        block.base_height_m,
-        block.floor_slope,
-        settings.rearrangement,
-    )
-    watch.lap("placing")
-    # By the cloud's own number: other lidars on the robot do not change its labels.
-    seed = seed_of(settings.seed, cloud)
-    labelling = label_scan(
-        scan, level.placed, settings.method, seed, level.floor, lidar.column_pairs
-    )
-    watch.lap("labelling")
-    metrics = scan_metrics(ranges, labelling, watch.milliseconds)
+    alone = label_alone(number, scan, block, watch.lap)
+    scan, level, labelling = alone.scan, alone.level, alone.labelling
+    metrics = scan_metrics(alone.ranges, labelling, watch.milliseconds)
     level = _with_loops_closed(level, scan, block)
     labelled = LabelledScan.of(number, scan, level.placed, labelling)
     points_map = labelled.points_map
@@ -311,12 +290,55 @@ def _label(
     return _Labelled(labelled, points_map, features, rivals, figures)
 
 
+@dataclass(frozen=True)
+class LabelledAlone:
+    """A scan labelled by itself. scan: its returns in the order of the labels."""
+
+    scan: Scan
+    ranges: SmoothedRanges
+    level: LevelledScan
+    labelling: ScanLabelling
+
+
+def label_alone(
+    number: int, scan: Scan, block: Block, lap: Callable[[str], None] = lambda stage: None
+) -> LabelledAlone:
+    """Smooth, place and label one usable scan of a block. lap: is called after each stage."""
+    inputs, settings = block.inputs, block.settings
+    lidar = inputs.verticals[inputs.scans.lidar[number]].lidar
+    scan = lidar.seen(scan, block.poses.registered)
+    ranges = smooth_ranges(scan, settings.smoothing)
+    lap("smoothing")
+    level = place_and_level(
+        scan,
+        ranges,
+        block.poses.registered,
+        lidar.T_base_sensor,
+        block.poses.base_height_m,
+        block.poses.floor_slope,
+        settings.rearrangement,
+    )
+    lap("placing")
+    # By the cloud's own number: other lidars on the robot do not change its labels.
+    seed = np.random.SeedSequence([settings.seed, int(inputs.scans.cloud[number])])
+    labelling = label_scan(
+        scan,
+        level.placed,
+        settings.method,
+        int(seed.generate_state(1)[0]),
+        level.floor,
+        lidar.column_pairs,
+    )
+    lap("labelling")
+    return LabelledAlone(scan, ranges, level, labelling)
+
+
 def _with_loops_closed(level: LevelledScan, scan: Scan, block: Block) -> LevelledScan:
     """Move a labelled scan to its pose with loops closed: it moves as one."""
     placed = level.placed
     T_level_base = transforms.invert(placed.T_map_level) @ placed.T_map_base
-    (T_map_base,) = block.trajectory.at(np.array([scan.reference_ns]))
-    T_map_level = level_frame(T_map_base, block.base_height_m)
+    (T_map_base,) = block.poses.trajectory.at(np.array([scan.reference_ns]))
+    T_map_level = level_frame(T_map_base, block.poses.base_height_m)
     moved = replace(placed, T_map_level=T_map_level, T_map_base=T_map_level @ T_level_base)
     return replace(level, placed=moved)
 
@@ -352,13 +374,13 @@ def _open(bag_path: BagPath, _recording_id: str, _thread: int, _place: int) -> B
     return open_bag(bag_path)
 
 
-def _usable(number: int, scan: Scan | SkippedScan, block: Block) -> Scan | SkippedScan:
+def usable(number: int, scan: Scan | SkippedScan, block: Block) -> Scan | SkippedScan:
     """Leave out returns that are too far away, and skip scans without a pose or a return."""
     if isinstance(scan, SkippedScan):
         return scan
     settings = block.settings
     swept_ns = np.array([scan.start_ns, scan.end_ns])
-    if not block.registered.covers(swept_ns, EXTRAPOLATE_NS).all():
+    if not block.poses.registered.covers(swept_ns, EXTRAPOLATE_NS).all():
         return SkippedScan(number, scan.stamp_ns, "no pose at its time")
     range_max_m = settings.scan.range_max_m
     near = within_range(scan, range_max_m)
@@ -366,8 +388,3 @@ def _usable(number: int, scan: Scan | SkippedScan, block: Block) -> Scan | Skipp
         reason = f"no return within {range_max_m:g} m (scan.range_max_m)"
         return SkippedScan(number, scan.stamp_ns, reason)
     return near
-
-
-def seed_of(seed: int, index: int) -> int:
-    """Derive the seed of one scan from the seed of the run and the number of the cloud."""
-    return int(np.random.SeedSequence([seed, index]).generate_state(1)[0])

@@ -1,7 +1,7 @@
 """Poses of a run: the odometry in the levelled map, or poses that are given."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,24 +32,31 @@ class RunPoses:
     """T_map_base of a whole drive.
 
     trajectory: with loops closed. registered: without; scans are labelled with these poses, which
-    have no seams. floor_slope: (2,) of the map's floor, metres up for each metre along x and y.
+    have no seams. base_height_m: height of the base above the floor.
+    floor_slope: (2,) of the map's floor, metres up for each metre along x and y.
     """
 
     trajectory: Trajectory
     registered: Trajectory
+    base_height_m: float
     floor_slope: FloatArray
 
-    @property
-    def base_height_m(self) -> float:
-        """Height of the base above the floor."""
-        return float(self.registered.T_map_base[0, 2, 3])
+    @classmethod
+    def of(
+        cls, trajectory: Trajectory, registered: Trajectory, floor_slope: FloatArray
+    ) -> "RunPoses":
+        """Create the poses of a drive that begins on the floor of the map."""
+        return cls(trajectory, registered, float(registered.T_map_base[0, 2, 3]), floor_slope)
 
+    def around(self, stamps_ns: IntArray) -> "RunPoses":
+        """Select the poses from a second before some scans to a second after."""
 
-def poses_around(poses: Trajectory, stamps_ns: IntArray) -> Trajectory:
-    """Select the poses from a second before some scans to a second after."""
-    first = int(np.searchsorted(poses.stamp_ns, stamps_ns.min() - _MARGIN_NS)) - 2
-    last = int(np.searchsorted(poses.stamp_ns, stamps_ns.max() + _MARGIN_NS)) + 2
-    return poses.part(max(0, first), last)
+        def part(poses: Trajectory) -> Trajectory:
+            first = int(np.searchsorted(poses.stamp_ns, stamps_ns.min() - _MARGIN_NS)) - 2
+            last = int(np.searchsorted(poses.stamp_ns, stamps_ns.max() + _MARGIN_NS)) + 2
+            return poses.part(max(0, first), last)
+
+        return replace(self, trajectory=part(self.trajectory), registered=part(self.registered))
 
 
 def estimate_poses(
@@ -65,7 +72,7 @@ def estimate_poses(
     Raises InputError where nothing gives poses.
     """
     if given is not None:
-        return RunPoses(given.trajectory, given.trajectory, np.zeros(2))
+        return RunPoses.of(given.trajectory, given.trajectory, np.zeros(2))
     sensor = inputs.horizontal
     if sensor is None:
         raise InputError(
@@ -86,7 +93,7 @@ def estimate_poses(
         _log_loops(odometry, level, report)
     T = level.T_map_odom
     trajectory, registered = odometry.trajectory.moved(T), odometry.registered.moved(T)
-    return RunPoses(trajectory, registered, level.floor_slope)
+    return RunPoses.of(trajectory, registered, level.floor_slope)
 
 
 class _RegistrationLog:

@@ -16,7 +16,7 @@ from ffmap.app.record.odometry import log_trajectory
 from ffmap.app.record.scans import log_metrics
 from ffmap.app.run.arrays import map_arrays, unpack
 from ffmap.app.run.blocks import STAGES, VOXEL_M, Block, ScanFigures, label_block
-from ffmap.app.run.poses import RunPoses, poses_around
+from ffmap.app.run.poses import RunPoses
 from ffmap.app.run.report import Report
 from ffmap.app.run.start import Run
 from ffmap.app.setup.inputs import commonest
@@ -94,10 +94,7 @@ def split_blocks(run: Run, poses: RunPoses, recorded: bool) -> list[Block]:
                 count=len(own_ns),
                 inputs=run.inputs,
                 settings=run.settings,
-                trajectory=poses_around(poses.trajectory, own_ns),
-                registered=poses_around(poses.registered, own_ns),
-                base_height_m=poses.base_height_m,
-                floor_slope=poses.floor_slope,
+                poses=poses.around(own_ns),
                 recording_id=run.record.recording_id,
                 detail=run.options.detail if recorded else None,
                 path=run.spool / f"{first:06d}",

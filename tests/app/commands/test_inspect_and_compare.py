@@ -27,6 +27,7 @@ from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.folder.run_folder import held, is_held
 from ffmap.app.record.errors import VERDICT_COLORS
 from ffmap.app.record.read_back import rows
+from ffmap.app.run import blocks
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
@@ -358,8 +359,8 @@ def test_mistakes_are_one_line_and_nothing_of_a_run_is_overwritten(
 def test_a_scan_that_fails_is_named_with_its_reason(
     runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    failing_label_scan = failing(inspection.label_scan, {0}, ValueError("no wall"))
-    monkeypatch.setattr(inspection, "label_scan", failing_label_scan)
+    failing_label_scan = failing(blocks.label_scan, {0}, ValueError("no wall"))
+    monkeypatch.setattr(blocks, "label_scan", failing_label_scan)
     with pytest.raises(InputError, match=r"--scan 3: was skipped \(ValueError: no wall\)"):
         inspection.label_again(open_run(runs["other"]), 3)
 

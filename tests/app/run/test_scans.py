@@ -16,6 +16,7 @@ from ffmap.app.record.read_back import rows
 from ffmap.app.run import blocks, final
 from ffmap.app.run.arrays import map_arrays, pack, pack_rows, unpack, unpack_rows, write_arrays
 from ffmap.app.run.blocks import Block, LabelledScan, label_block
+from ffmap.app.run.poses import RunPoses
 from ffmap.app.setup.inputs import Inputs, find_inputs
 from ffmap.app.setup.options import RunOptions
 from ffmap.app.setup.outputs import Detail
@@ -42,8 +43,8 @@ def block_of(
         truth = read_truth(bag)
     assert truth is not None
     assert truth.trajectory is not None
-    poses = (truth.trajectory, truth.trajectory, 0.0, np.zeros(2))
-    return Block(first, count, inputs, Settings(), *poses, run, detail, path)
+    poses = RunPoses(truth.trajectory, truth.trajectory, 0.0, np.zeros(2))
+    return Block(first, count, inputs, Settings(), poses, run, detail, path)
 
 
 def drive(path: Path, **values: Any) -> Inputs:
