@@ -5,6 +5,7 @@ Everything is a number, an array or text that the terminal, the recording and co
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,6 @@ from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import ScanLabels
 from ffmap.app.folder.map_files import read_map
 from ffmap.app.folder.names import DOORS, LABELS, TRAJECTORY, WALLS, map_file
-from ffmap.app.record.read_back import ReadableRecording
 from ffmap.blueprints import entities
 from ffmap.loaders.geojson import read_features, segments
 from ffmap.loaders.text_files import dotted_keys
@@ -86,7 +86,7 @@ class RunToCompare:
 
     letter: str
     run: FinishedRun
-    recording: ReadableRecording | None
+    recording: Path | None
 
     @property
     def title(self) -> str:

@@ -17,7 +17,7 @@ from ffmap.app.folder.names import EVALUATION, LABELS
 from ffmap.app.record.errors import VERDICT_COLORS
 from ffmap.app.record.inspection import ScanFaults
 from ffmap.app.record.line_reasons import name_of
-from ffmap.app.record.read_back import readable, rows
+from ffmap.app.record.read_back import rows
 from ffmap.app.run.blocks import Block, label_alone, usable
 from ffmap.app.run.given_poses import given_poses
 from ffmap.app.run.poses import estimate_poses
@@ -141,9 +141,8 @@ def find_worst(run: FinishedRun) -> tuple[int, str]:
     why = "of its points have a wrong final label (`label`), by ground truth"
     errors = run.file(EVALUATION)
     if errors is not None:
-        with readable(errors) as recording:
-            for row in rows(recording.path, "/metrics/errors/**", "scalars"):
-                percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
+        for row in rows(errors, "/metrics/errors/**", "scalars"):
+            percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
     if not percent:
         why = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
         for cloud, _ in read_run_labels(run):
@@ -189,16 +188,15 @@ def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> list[tup
     """
     if run.recording is None:
         return []
-    with readable(run.recording) as recording:
-        found = rows(recording.path, entities.RELABELLED, entities.POINT_REASON)
-        values = next((row.values for row in found if row.scan == number), None)
+    found = rows(run.recording, entities.RELABELLED, entities.POINT_REASON)
+    values = next((row.values for row in found if row.scan == number), None)
     if values is None:
         return []
     names = entities.POINT_LABEL_SCAN, "class_ids", entities.POINT_REASON
     codes = np.column_stack([values[name] for name in names])
     off_face_m = values[entities.POINT_OFF_FACE].astype(np.float64)
     if wrong is not None and len(wrong) != len(codes):
-        wrong = None  # the recording was cut, or is of other labels
+        wrong = None  # the recording is of other labels
     kinds, kind, counts = np.unique(codes, axis=0, return_inverse=True, return_counts=True)
     changes: list[tuple[str, ...]] = []
     for k in np.argsort(-counts, kind="stable"):
@@ -224,11 +222,10 @@ def _wrong(run: FinishedRun, number: int, count: int) -> BoolArray | None:
     if errors is None:
         return None
     right = VERDICT_COLORS[Verdict.RIGHT]
-    with readable(errors) as recording:
-        for row in rows(recording.path, entities.POINTS, entities.POINT_VERDICT_COLOR):
-            if row.scan == number:
-                wrong = np.asarray(row.values[entities.POINT_VERDICT_COLOR] != right)
-                return wrong if len(wrong) == count else None
+    for row in rows(errors, entities.POINTS, entities.POINT_VERDICT_COLOR):
+        if row.scan == number:
+            wrong = np.asarray(row.values[entities.POINT_VERDICT_COLOR] != right)
+            return wrong if len(wrong) == count else None
     return None
 
 

@@ -4,7 +4,6 @@ import string
 import tempfile
 import uuid
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from ffmap.app.folder.names import check_no_run_loses, require_writable
 from ffmap.app.progress import Progress
 from ffmap.app.record import comparison as recorder
 from ffmap.app.record.log import open_log
-from ffmap.app.record.read_back import readable, rows
+from ffmap.app.record.read_back import chunk_stream, rows
 from ffmap.app.record.stream import join
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
@@ -55,12 +54,11 @@ def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, q
     recording = _output(found, out)
     warnings: list[str] = []
     with (
-        ExitStack() as stack,
         Progress(quiet) as progress,
         tempfile.TemporaryDirectory(prefix="comparison-", dir=recording.parent) as spool,
     ):
         runs = [
-            _open(letter, run, stack, warnings) for letter, run in zip(letters, found, strict=False)
+            _open(letter, run, warnings) for letter, run in zip(letters, found, strict=False)
         ]
         for warning in warnings:
             progress.warn(warning)
@@ -89,23 +87,21 @@ def _output(runs: Sequence[FinishedRun], out: Path | None) -> Path:
     return recording
 
 
-def _open(letter: str, run: FinishedRun, stack: ExitStack, warnings: list[str]) -> RunToCompare:
+def _open(letter: str, run: FinishedRun, warnings: list[str]) -> RunToCompare:
     """Open a run with its recording, if it has one that can be read."""
     if not run.complete:
         resume = f" ('ffmap run --resume {run.path}' continues it)"
         hint = "" if run.outcome == "running" else resume
         warnings.append(f"{letter}, {run.name}: is {run.outcome}{hint}; what it has is compared")
-    recording = None
     if run.recording is None:
         warnings.append(f"{letter}, {run.name}: has no recording to show side by side")
-    else:
-        try:
-            recording = stack.enter_context(readable(run.recording))
-        except InputError as error:
-            warnings.append(f"{letter}: {error}")
-    if recording is not None and recording.warning is not None:
-        warnings.append(f"{letter}: {recording.warning}")
-    return RunToCompare(letter, run, recording)
+        return RunToCompare(letter, run, None)
+    try:
+        chunk_stream(run.recording)
+    except InputError as error:
+        warnings.append(f"{letter}: {error}")
+        return RunToCompare(letter, run, None)
+    return RunToCompare(letter, run, run.recording)
 
 
 def _write(
@@ -140,10 +136,10 @@ def _write(
     for run in runs:
         if run.recording is not None:
             if not scan_of:
-                recorded = rows(run.recording.path, entities.TRAJECTORY)
+                recorded = rows(run.recording, entities.TRAJECTORY)
                 scan_of.update((row.stamp_ns, row.scan) for row in recorded)
             part = spool / f"run-{run.letter}.rrd"
-            path = run.recording.path
+            path = run.recording
             if recorder.write_rerooted(path, run.letter, part, recording_id, scans):
                 parts.append(part)
         progress.advance()

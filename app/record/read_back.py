@@ -1,11 +1,7 @@
-"""Recordings read back: rows of an entity in the order of the file, also from cut recordings."""
+"""Recordings read back: rows of an entity in the order of the file."""
 
-import subprocess
-import sys
-import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,74 +23,29 @@ class Row:
     values: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class ReadableRecording:
-    """A recording that can be read to its end.
-
-    path: the recording, or a repaired copy. warning: None if the recording is complete.
-    """
-
-    path: Path
-    warning: str | None = None
-
-    @property
-    def whole(self) -> bool:
-        """Whether the recording is complete."""
-        return self.warning is None
-
-
-@contextmanager
-def readable(path: Path) -> Iterator[ReadableRecording]:
-    """Open a recording that may be cut anywhere; of a cut one, a copy up to the cut.
-
-    Raises InputError if it is no recording, or nothing of it is left.
-    """
-    has_footer, error = _check(path)
-    if error is None:
-        warning = None if has_footer else f"{path}: has no footer: it was cut, or its writer killed"
-        yield ReadableRecording(path, warning)
-        return
-    if "Not an RRD" in error or "too small" in error:
-        raise InputError(f"{path}: is not a Rerun recording; run ffmap again")
-    with tempfile.TemporaryDirectory(prefix="ffmap-cut-") as folder:
-        copy = Path(folder) / path.name
-        command = ["-m", "rerun", "rrd", "merge", "--continue-on-error", "-o", str(copy), str(path)]
-        subprocess.run([sys.executable, *command], capture_output=True, check=False)
-        if not copy.exists() or _check(copy)[1] is not None:
-            raise InputError(f"{path}: was cut before its first message; run ffmap again")
-        yield ReadableRecording(copy, f"{path}: was cut; it is read up to the cut")
-
-
-def _check(path: Path) -> tuple[bool, str | None]:
-    """Return whether a recording has a footer, and why it cannot be read (None if it can)."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            RrdReader(path).stream()
-        except (RuntimeError, ValueError) as error:
-            return False, str(error)
-    return not any("no footer" in str(warning.message) for warning in caught), None
-
-
 def chunk_stream(path: Path) -> LazyChunkStream:
-    """Return all chunks of a recording, in the order of the file."""
+    """Return all chunks of a recording, in the order of the file.
+
+    Raises InputError if it is not a complete recording.
+    """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that there is no footer
-        return RrdReader(path).stream()
+        warnings.simplefilter("error")  # that it has no footer
+        try:
+            return RrdReader(path).stream()
+        except (RuntimeError, ValueError, Warning) as error:
+            raise InputError(
+                f"{path}: is not a complete Rerun recording; run ffmap again"
+            ) from error
 
 
 def rows(path: Path, entity: str | Sequence[str], required: str | None = None) -> Iterator[Row]:
     """Yield the rows of entities on the timeline `scan`, in the order of the file.
 
     required: rows without this component are omitted.
-    Raises InputError if the recording cannot be read.
+    Raises InputError if it is not a complete recording.
     """
-    try:
-        for chunk in chunk_stream(path).filter(content=entity, has_timeline=SCAN_TIMELINE):
-            yield from _rows_of(chunk.to_record_batch(), required)
-    except RuntimeError as error:
-        why = str(error).splitlines()[0]
-        raise InputError(f"{path}: cannot be read ({why}); run ffmap again") from error
+    for chunk in chunk_stream(path).filter(content=entity, has_timeline=SCAN_TIMELINE):
+        yield from _rows_of(chunk.to_record_batch(), required)
 
 
 def _rows_of(batch: pa.RecordBatch, required: str | None) -> Iterator[Row]:

@@ -309,7 +309,7 @@ def test_what_a_run_lacks_is_reported_and_the_rest_compared(
     whole = (runs["other"] / "recording.rrd").read_bytes()
     (cut / "recording.rrd").write_bytes(whole[: int(0.7 * len(whole))])
     found = compare(tmp_path / "out1", runs["usual"], cut)
-    assert any("was cut" in warning for warning in found["warnings"])
+    assert any("is not a complete Rerun" in warning for warning in found["warnings"])
     (change,) = found["comparisons"]
     assert set(change["not_compared"]) == {"labels", "trajectory", "doors", "grid"}
     assert all("B has no" in why for why in change["not_compared"].values())
@@ -317,7 +317,7 @@ def test_what_a_run_lacks_is_reported_and_the_rest_compared(
     bare = make("bare", outcome="aborted", settings={"gone": {"by_m": 1}})
     (bare / "recording.rrd").write_text("this is no recording")
     found = compare(tmp_path / "out2", bare, runs["usual"])
-    for words in ("aborted", "is not a Rerun recording"):
+    for words in ("aborted", "is not a complete Rerun"):
         assert any(words in warning for warning in found["warnings"])
     assert found["settings"]["gone.by_m"] == [1, None]
     assert found["comparisons"][0]["compared"] == []

@@ -1,4 +1,4 @@
-"""A recording that was cut anywhere is read up to the cut, or refused in one line."""
+"""Recordings are read in the order of their rows; incomplete ones are refused in one line."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 import rerun as rr
 
 from ffmap.app.record.log import Log
-from ffmap.app.record.read_back import readable, rows
+from ffmap.app.record.read_back import rows
 from ffmap.app.record.stream import open_part
 from ffmap.loaders.errors import InputError
 
@@ -38,37 +38,10 @@ def test_rows_come_with_their_values_in_order(recording: Path) -> None:
     assert list(rows(recording, "/nothing")) == []
 
 
-def test_a_recording_is_read_up_to_wherever_it_was_cut(recording: Path, tmp_path: Path) -> None:
+def test_what_is_not_a_complete_recording_is_refused(recording: Path) -> None:
     content = recording.read_bytes()
-    with readable(recording) as found:
-        assert found.whole
-        assert found.path == recording
-    cut = tmp_path / "cut.rrd"
-    read, refused = [], 0
-    for size in range(0, len(content), max(1, len(content) // 16)):
-        cut.write_bytes(content[:size])
-        try:
-            with readable(cut) as found:
-                assert not found.whole
-                assert found.warning is not None
-                assert str(cut) in found.warning
-                scans = [row.scan for row in rows(found.path, "/scan/points", "positions")]
-        except InputError:
-            refused += 1
-            continue
-        assert scans == list(range(len(scans)))
-        read.append(len(scans))
-    # The longer it is, the more is read; all of it once only the footer is cut.
-    assert read == sorted(read)
-    assert read[-1] == ROWS
-    assert 0 < refused < 6
-    assert not list(Path(found.path.parent).glob("*.part"))
-
-
-def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "text.rrd"
-    for content in (b"", b"this is no recording, though it is long enough for a header"):
-        path.write_bytes(content)
-        refused = pytest.raises(InputError, match=r"text\.rrd: is not a Rerun recording")
-        with refused, readable(path):
-            pass
+    cuts = (content[:size] for size in range(0, len(content), max(1, len(content) // 16)))
+    for part in (*cuts, b"this is no recording, though it is long enough for a header"):
+        recording.write_bytes(part)
+        with pytest.raises(InputError, match=r"whole\.rrd: is not a complete Rerun recording"):
+            list(rows(recording, "/scan/points"))

@@ -11,7 +11,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.app.folder.finished_run import open_run
 from ffmap.app.folder.record import RunRecord
-from ffmap.app.record.read_back import readable, rows
+from ffmap.app.record.read_back import rows
 from ffmap.app.run.arrays import map_arrays, unpack_rows
 from ffmap.app.run.blocks import LabelledScan, label_block
 from ffmap.app.run.extrinsics import check_extrinsics
@@ -79,11 +79,9 @@ def test_all_that_lie_are_labelled_and_vote_together(folder: Path) -> None:
 def test_the_recording_tells_which_lidar_each_scan_is_from(folder: Path) -> None:
     inputs = find_inputs(folder / "drive", RunOptions())
     topics = open_run(folder / "run").record.topics
-    with readable(folder / "run" / "recording.rrd") as recording:
-        said = {row.scan: row.values for row in rows(recording.path, "/scan/lidar", "place")}
-        drawn = {
-            row.scan for row in rows(recording.path, entities.POINTS, entities.POINT_LABEL_SCAN)
-        }
+    path = folder / "run" / "recording.rrd"
+    said = {row.scan: row.values for row in rows(path, "/scan/lidar", "place")}
+    drawn = {row.scan for row in rows(path, entities.POINTS, entities.POINT_LABEL_SCAN)}
     assert said.keys() == drawn
     for scan, values in said.items():
         place = int(inputs.scans.lidar[scan])
