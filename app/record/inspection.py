@@ -18,6 +18,7 @@ from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.scans import log_example, log_scan
 from ffmap.app.record.shapes import (
     annotations,
+    packed_colors,
     strip_style,
     strip_style_2d,
     strips_2d,
@@ -94,9 +95,7 @@ def write(out: Path, recording_id: str, scan: ExplainedScan) -> None:
     with open_log(out, recording_id, layout=layout) as log:
         slope_max = labelling.settings.vertical_structures.slope_max
         log_static(log, {}, scan.document, slope_max)
-        of_scan = Log(log.stream, timeless=True)
-        log_scan(of_scan, 0, scan.level, labelling, 0)
-        of_scan.send_rows()
+        log_scan(log, None, scan.level, labelling, 0)
         lines = _Lines(log, scan)
         lines.log_styles(*size_m)
         for reason in scan.reasons:
@@ -142,14 +141,8 @@ class _Lines:
 
     def log_styles(self, range_m: float, height_m: float) -> None:
         """Log colours, and floor, ceilings and scale of the profiles."""
-        for name, color in (
-            ("upmost", UPMOST_COLOR),
-            ("bottommost", BOTTOMMOST_COLOR),
-            ("others", _OTHER_COLOR),
-        ):
-            self._log.static(f"/scan/line/structures/{name}", strip_style(color, 4.0))
-            profiles = strip_style_2d(color, 3.0, 20.0)
-            self._log.static(f"/profile/structures/{name}", profiles)
+        self._log.static("/scan/line/structures", strip_style(None, 4.0))
+        self._log.static("/profile/structures", strip_style_2d(None, 3.0, 20.0))
         self._log.static("/scan/line/sight", rr.Mesh3D.from_fields(albedo_factor=_SIGHT_COLOR))
         for path, color, radius in (
             ("/scan/line/growing_plane", _GROWING_COLOR, 2.5),
@@ -233,18 +226,14 @@ class _Lines:
     def _log_structures(self, line: int) -> None:
         structures, samples = self._labelling.structures, self._labelling.lines.samples[line]
         own = np.flatnonzero(structures.line == line)
-        upmost, bottommost = structures.upmost[line], structures.bottommost[line]
-        rest = (own != upmost) & (own != bottommost)
-        for name, chosen in (
-            ("upmost", own[own == upmost]),
-            ("bottommost", own[(own == bottommost) & (own != upmost)]),
-            ("others", own[rest]),
-        ):
-            spans = [samples[structures.first[s] : structures.last[s] + 1] for s in chosen]
-            in_space = [self._points[span] for span in spans]
-            self._log.row(f"/scan/line/structures/{name}", rr.LineStrips3D, strips=in_space)
-            profiles = [self._profile[span] for span in spans]
-            self._log.row(f"/profile/structures/{name}", rr.LineStrips2D, strips=profiles)
+        other, upmost, bottommost = packed_colors(_OTHER_COLOR, UPMOST_COLOR, BOTTOMMOST_COLOR)
+        colors = np.where(own == structures.bottommost[line], bottommost, other)
+        colors = np.where(own == structures.upmost[line], upmost, colors)
+        spans = [samples[structures.first[s] : structures.last[s] + 1] for s in own]
+        in_space = [self._points[span] for span in spans]
+        self._log.row("/scan/line/structures", rr.LineStrips3D, strips=in_space, colors=colors)
+        profiles = [self._profile[span] for span in spans]
+        self._log.row("/profile/structures", rr.LineStrips2D, strips=profiles, colors=colors)
         shown = samples[samples >= 0]
         self._log.row(
             "/profile/samples",

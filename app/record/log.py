@@ -56,20 +56,17 @@ class Log:
         self,
         stream: rr.RecordingStream,
         detail: Detail = Detail.LINES,
-        timeless: bool = False,
         scan_stamps_ns: IntArray | None = None,
     ) -> None:
         """Log into a stream.
 
         detail: how much of each scan is logged.
-        timeless: data of a scan is static, as in a recording of one scan.
         scan_stamps_ns: (n,) of the vertical clouds in the bag; None without vertical clouds. With
             them, data of a horizontal scan also has an index on the timeline `scan`: the first
             vertical cloud that is not older, or the last one.
         """
         self.stream = stream
         self.detail = detail
-        self.timeless = timeless
         # The highest stamp up to each cloud, because a clock may step back.
         self._reached_ns = None if scan_stamps_ns is None else np.maximum.accumulate(scan_stamps_ns)
         self._time: dict[str, int] = {}
@@ -100,12 +97,12 @@ class Log:
         evidence: Evidence | None = None,
         **components: Any,  # noqa: ANN401
     ) -> None:
-        """Log components of an archetype and evidence at the time that is set.
+        """Log components of an archetype and evidence at the time that is set; static without one.
 
         components: as the archetype's `columns` takes them; each is an array or a list.
         Components that are the same in all rows of an entity cost less as static data.
         """
-        row = _Row({} if self.timeless else self._time, components, evidence or {})
+        row = _Row(self._time, components, evidence or {})
         # Rows that are sent together have the same columns.
         key = path, archetype, *row.time, *components, *row.evidence
         self._rows[key].append(row)

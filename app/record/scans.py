@@ -108,7 +108,7 @@ def log_scan_styles(log: Log, slope_max: float) -> None:
 
 def log_scan(
     log: Log,
-    index: int,
+    index: int | None,
     level: LevelledScan,
     labelling: ScanLabelling,
     stamp_ns: int,
@@ -116,10 +116,11 @@ def log_scan(
 ) -> None:
     """Log one labelled scan with its evidence, as much as the detail of the log requires.
 
+    index: None in a recording of this scan alone, where it is static and has no example of a line.
     intensity: (n,) of its returns; (0,) if only other scans of the recording have some.
     """
     placed = level.placed
-    if not log.timeless:
+    if index is not None:
         log.at(stamp_ns, index)
     log.pose("/world/base", placed.T_map_base)
     log.pose("/scan", placed.T_map_level)
@@ -135,7 +136,7 @@ def log_scan(
         _log_candidates(log, positions, labelling)
         _log_door_lines(log, labelling)
         log_differences(log, labelling)
-        if not log.timeless:
+        if index is not None:
             log_example(log, positions, labelling, _example_line(labelling))
 
 

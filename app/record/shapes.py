@@ -41,8 +41,11 @@ def transform(T_parent_child: FloatArray) -> rr.Transform3D:
 
 
 def rounded(positions_m: FloatArray) -> FloatArray:
-    grid = np.rint(positions_m.astype(np.float32) * np.float32(1.0 / GRID_M))
-    return np.asarray(grid * np.float32(GRID_M))
+    grid = positions_m.astype(np.float32)
+    grid *= np.float32(1.0 / GRID_M)
+    np.rint(grid, out=grid)
+    grid *= np.float32(GRID_M)
+    return grid
 
 
 def packed_colors(*colors: Color) -> IntArray:
@@ -77,7 +80,7 @@ def strip_style(
 
 
 def strip_style_2d(
-    color: Color, radius_ui: float, order: float, show_labels: bool | None = None
+    color: Color | None, radius_ui: float, order: float, show_labels: bool | None = None
 ) -> rr.LineStrips2D:
     """Return how the lines of an entity on a plane are drawn."""
     return rr.LineStrips2D.from_fields(

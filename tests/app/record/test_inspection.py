@@ -11,7 +11,14 @@ from rerun.chunk import RrdReader
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.app.record.inspection import ExplainedScan, ScanFaults, write
 from ffmap.app.record.line_reasons import explain_lines
-from ffmap.blueprints.entities import FAULT_CLASSES, LINE_TIMELINE, Fault
+from ffmap.app.record.shapes import packed_colors
+from ffmap.blueprints.entities import (
+    BOTTOMMOST_COLOR,
+    FAULT_CLASSES,
+    LINE_TIMELINE,
+    UPMOST_COLOR,
+    Fault,
+)
 from tests import synthetic
 from tests.app.record.recordings import static
 
@@ -42,20 +49,21 @@ def test_each_line_is_on_the_timeline(settings: dict[str, float], tmp_path: Path
     write(path, "inspect-1", scan)
     labelling, lines = scan.labelling, range(2 * synthetic.RINGS)
     structures, planes = labelling.structures, labelling.planes
-    upmost, bottommost, others = (
-        by_line(path, f"/scan/line/structures/{name}", STRIPS)
-        for name in ("upmost", "bottommost", "others")
-    )
+    drawn = by_line(path, "/scan/line/structures", STRIPS)
+    colors = by_line(path, "/scan/line/structures", "LineStrips3D:colors")
     sight = by_line(path, "/scan/line/sight", "Mesh3D:vertex_positions")
     in_plane = by_line(path, "/scan/line/plane", STRIPS)
     growing = by_line(path, "/scan/line/growing_plane", STRIPS)
-    assert upmost.keys() == set(lines)
+    assert drawn.keys() == set(lines)
+    upmost_color, bottommost_color = packed_colors(UPMOST_COLOR, BOTTOMMOST_COLOR)
     for line in lines:
-        own = structures.upmost[line]
-        wanted = [structures.last[own] - structures.first[own] + 1] if own >= 0 else []
-        assert [len(strip) for strip in upmost[line]] == wanted
-        count = len(upmost[line]) + len(bottommost[line]) + len(others[line])
-        assert count == np.count_nonzero(structures.line == line)
+        own = np.flatnonzero(structures.line == line)
+        lengths = (structures.last - structures.first + 1)[own]
+        assert [len(strip) for strip in drawn[line]] == lengths.tolist()
+        is_upmost = own == structures.upmost[line]
+        is_bottommost = ~is_upmost & (own == structures.bottommost[line])
+        assert (np.array(colors[line]) == upmost_color).tolist() == is_upmost.tolist()
+        assert (np.array(colors[line]) == bottommost_color).tolist() == is_bottommost.tolist()
         # A fan from the lidar to every sample of the line.
         assert len(sight[line]) == 1 + np.count_nonzero(labelling.lines.samples[line] >= 0)
         candidates = planes.candidates.line == line
