@@ -27,7 +27,7 @@ from ffmap.app.progress import Progress
 from ffmap.app.record import comparison as recorder
 from ffmap.app.record.log import open_log
 from ffmap.app.record.read_back import chunk_stream, rows
-from ffmap.app.record.stream import join
+from ffmap.app.record.stream import join, write_layout
 from ffmap.blueprints import compare as compare_blueprint
 from ffmap.blueprints import entities
 from ffmap.blueprints.compare import ComparedRun
@@ -146,7 +146,8 @@ def _write(
     changes = {change.b.letter: change for change in comparison.changes}
     numbers = (min(scan_of.values()), max(scan_of.values())) if scan_of else None
     layout = _layout(comparison, scans, numbers)
-    parts.append(spool / "differences.rrd")
+    parts += [spool / "layout.rrd", spool / "differences.rrd"]
+    write_layout(parts[-2], recording_id, layout)
     with open_log(parts[-1], recording_id) as log:
         log.stream.send_recording_name(" – ".join(run.run.name for run in runs))
         colors = recorder.transition_colors(comparison.changes)
@@ -160,7 +161,7 @@ def _write(
         for change in comparison.changes:
             text = change_document(change, comparison)
             recorder.log_change(log, change.b.letter, change, text, scan_of, colors)
-    join(out, recording_id, layout, parts)
+    join(out, parts)
     return comparison
 
 

@@ -18,7 +18,7 @@ import typer
 
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.map_files import read_map
-from ffmap.app.folder.names import EVALUATION, RECORDING, RUN_JSON, map_file
+from ffmap.app.folder.names import EVALUATION, RECORDING, RUN_JSON, SPOOL, map_file
 from ffmap.app.own_command import has_display, own_command
 from ffmap.app.record.stream import free_port, listens, open_part
 from ffmap.blueprints import run as run_blueprint
@@ -159,5 +159,8 @@ def files_of(place: Path) -> list[Path]:
         raise InputError(f"{place}: is no run; 'ffmap runs DIR' lists those in a folder")
     files = [place / name for name in (RECORDING, EVALUATION) if (place / name).exists()]
     if place / RECORDING not in files:
+        # A run that is under way, or was killed, has the parts of its recording.
+        files = sorted((place / SPOOL).glob("*.rrd"))
+    if not files:
         raise InputError(f"{place}: has no {RECORDING}; make one with 'ffmap run'")
     return files

@@ -22,7 +22,7 @@ from ffmap.algorithms.truth.maps import ComparedMaps
 from ffmap.algorithms.truth.tally import VOXEL_M, majorities
 from ffmap.app.record.log import Log, open_log
 from ffmap.app.record.shapes import at_height, packed_colors, strips, ui_radius, upright_frames
-from ffmap.app.record.stream import join, send_properties
+from ffmap.app.record.stream import join, send_properties, write_layout
 from ffmap.app.record.whole_run import log_legend
 from ffmap.blueprints import entities
 
@@ -75,9 +75,8 @@ def write_layer(
         properties: figures that become properties of the recording. text: all of them, Markdown.
         faces: (F, 2, 2) of the true walls.
     """
-    parts = sorted(spool.glob("scans-*.rrd"))
-    of_map = spool / "map.rrd"
-    with open_log(of_map, recording_id) as log:
+    write_layout(spool / "layout.rrd", recording_id, layout)
+    with open_log(spool / "map.rrd", recording_id) as log:
         send_properties(log.stream, "metrics", properties)
         log.text("/evaluation/figures", text)
         log_legend(log, "/legend/errors", LEGEND)
@@ -89,7 +88,7 @@ def write_layer(
         _log_doors(log, true_doors, found_doors)
         _log_voxels(log, voxels)
         _log_overlays(log, maps)
-    join(out, recording_id, layout, [of_map, *parts])
+    join(out, sorted(spool.glob("*.rrd")))
 
 
 def _log_doors(

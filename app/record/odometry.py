@@ -41,16 +41,13 @@ def log_trajectory(
     stamp_ns: IntArray,
     T_map_base: FloatArray,
     index: IntArray | None,
-    previous_T_map_base: FloatArray | None = None,
 ) -> None:
     """Log the way from each pose (n, 4, 4) to the next.
 
     index: (n,) of the vertical scans; None if the poses are of horizontal ones.
-    previous_T_map_base: last pose of an earlier call.
     """
     xyz = T_map_base[:, :3, 3]
-    before = xyz[:1] if previous_T_map_base is None else previous_T_map_base[None, :3, 3]
-    steps = np.stack([np.concatenate([before, xyz[:-1]]), xyz], axis=1).astype(np.float32)
+    steps = np.stack([np.concatenate([xyz[:1], xyz[:-1]]), xyz], axis=1).astype(np.float32)
     columns = rr.LineStrips3D.columns(strips=steps)
     log.stream.send_columns("/world/trajectory", times(stamp_ns, index), columns)
 

@@ -31,7 +31,8 @@ _STARTS_S, _OPENS_WINDOW_S = 20.0, 1.0
 class Recording:
     """A run's recording: what its own process logs into `stream`, and the parts from workers.
 
-    A viewer receives everything at once. `finish` writes the file.
+    A viewer receives everything at once. `finish` writes the file; until then, the spool contains
+    its parts, which a viewer can open together.
     """
 
     def __init__(
@@ -50,11 +51,10 @@ class Recording:
         the run.
         Raises ConnectionError if no viewer listens at connect_url.
         """
-        self._path, self._spool, self._id = path, spool, recording_id
-        self._layout, self._say = layout, say
+        self._path, self._id, self._say = path, recording_id, say
         self._viewer: rr.RecordingStream | None = None
-        self._parts = [spool / "own.rrd"] if path is not None else []
-        sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(own) for own in self._parts]
+        self._parts: list[Path] = []
+        sinks: list[rr.FileSink | rr.GrpcSink] = []
         if connect_url is not None:
             check_viewer(connect_url)
             sinks.append(rr.GrpcSink(connect_url))
@@ -63,13 +63,16 @@ class Recording:
             self._viewer.connect_grpc(connect_url)
         if path is not None:
             path.unlink(missing_ok=True)
+            self._parts = [spool / "layout.rrd", spool / "own.rrd"]
+            sinks.append(rr.FileSink(spool / "own.rrd"))
         self.stream = _new_stream(recording_id, send_properties=True)
         self.stream.set_sinks(*sinks)
         self.set_layout(layout)
 
     def set_layout(self, layout: rrb.Blueprint) -> None:
         """Replace the layout of the recording."""
-        self._layout = layout
+        if self._parts:
+            write_layout(self._parts[0], self._id, layout)
         if self._viewer is not None:
             # A viewer keeps the layout that it shows if only the default changes.
             self._viewer.send_blueprint(layout, make_active=True, make_default=True)
@@ -103,17 +106,19 @@ class Recording:
         if self._viewer is not None:
             self._viewer.disconnect()
         if self._path is not None:
-            join(self._path, self._id, self._layout, self._parts)
+            join(self._path, self._parts)
 
 
-def join(out: Path, recording_id: str, layout: rrb.Blueprint, parts: Sequence[Path]) -> None:
-    """Join parts of a recording to one file with a layout, by Rerun's tool: nothing is decoded."""
-    # The layout is a part of its own: Rerun cannot join files with both a layout and data.
-    of_layout = parts[0].with_name("layout.rrd")
-    with open_part(of_layout, recording_id, layout):
+def write_layout(path: Path, recording_id: str, layout: rrb.Blueprint) -> None:
+    """Write a part with the layout alone: Rerun cannot join files with both a layout and data."""
+    with open_part(path, recording_id, layout):
         pass
+
+
+def join(out: Path, parts: Sequence[Path]) -> None:
+    """Join parts of a recording to one file, by Rerun's tool: nothing is decoded."""
     with written_whole(out) as joined:
-        files = [str(path.resolve()) for path in (joined, of_layout, *parts)]
+        files = [str(path.resolve()) for path in (joined, *parts)]
         command = [sys.executable, "-c", _RERUN, "rrd", "route", "-o", *files]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:

@@ -34,6 +34,11 @@ def test_files_of_a_run_and_a_single_recording(tmp_path: Path) -> None:
     run = make_run(tmp_path / "a", "recording.rrd", "evaluation.rrd")
     assert files_of(run) == [run / "recording.rrd", run / "evaluation.rrd"]
     assert files_of(run / "recording.rrd") == [run / "recording.rrd"]
+    under_way = make_run(tmp_path / "b")
+    (under_way / "spool").mkdir()
+    for name in ("own.rrd", "000000.rrd", "000000.arrow"):
+        (under_way / "spool" / name).touch()
+    assert files_of(under_way) == [under_way / "spool" / n for n in ("000000.rrd", "own.rrd")]
 
 
 def test_nothing_to_see(tmp_path: Path) -> None:
