@@ -106,9 +106,7 @@ def _made(inputs: Inputs, record: RunRecord) -> str:
     )
 
 
-def _quality(
-    folder: Path, inputs: Inputs, options: RunOptions, metrics: "Metrics | None"
-) -> str:
+def _quality(folder: Path, inputs: Inputs, options: RunOptions, metrics: "Metrics | None") -> str:
     if metrics is not None:
         from ffmap.app.analysis.metrics_tables import in_one_line
 

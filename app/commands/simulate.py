@@ -1,12 +1,14 @@
 """ffmap simulate: a bag of a generated building, with its ground truth."""
 
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 from pydantic import ValidationError
 
+from ffmap.app.own_command import pip_command
 from ffmap.app.progress import Progress
 from ffmap.app.setup.settings import parse_value
 from ffmap.loaders.errors import InputError
@@ -14,14 +16,22 @@ from ffmap.loaders.errors import InputError
 if TYPE_CHECKING:
     from ffmap.loaders.simulator import SimulationSettings
 
+_PACKAGES = "trimesh", "embreex"
+"""Installed with the extra `simulate`: real bags are mapped without them."""
+
 
 def simulate(
     out: Path, values: Mapping[str, Any], overrides: Sequence[str] = (), quiet: bool = True
 ) -> None:
-    """Simulate a drive and print the command that maps it. Raises InputError for a wrong setting.
+    """Simulate a drive and print the command that maps it.
 
     overrides: further settings, as --set takes them.
+    Raises InputError for a wrong setting, and where a package is missing.
     """
+    if missing := [name for name in _PACKAGES if find_spec(name) is None]:
+        names = " and ".join(missing)
+        command = pip_command(" ".join(missing))
+        raise InputError(f"simulated drives require {names}; install with '{command}'")
     # Only this command loads Embree.
     from ffmap.loaders.simulator import simulate as write_bag
 

@@ -1,10 +1,11 @@
 """Raw Velodyne packets (velodyne_msgs/VelodyneScan, a message a revolution)."""
 
+from importlib.util import find_spec
 from types import MappingProxyType
 
 import numpy as np
 
-from ffmap.loaders.bag import Bag, Message, RawMessage
+from ffmap.loaders.bag import Bag, Message, RawMessage, Topic
 from ffmap.loaders.errors import CloudError
 from ffmap.loaders.pointcloud2 import make_cloud
 from ffmap.loaders.sensors.sensor import Sensor
@@ -37,6 +38,14 @@ class Velodyne(Sensor):
             ),
         }
     )
+
+    def unread_reason(self, bag: Bag, topic: Topic) -> str | None:
+        if find_spec("velodyne_decoder") is None:
+            return (
+                f"{topic.name}: a Velodyne's raw packets require velodyne-decoder, which is not "
+                "installed: pip install velodyne-decoder; or record the driver's PointCloud2"
+            )
+        return None
 
     def decode(self, bag: Bag, raw: RawMessage) -> Message:
         """Make a PointCloud2 of one message, `time` in seconds from its stamp.

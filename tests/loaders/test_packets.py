@@ -9,6 +9,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ffmap.app.commands.info import describe
+from ffmap.loaders.sensors import velodyne
 from ffmap.loaders.sensors.unread import UNREAD_TYPES
 from tests.loaders.bag_builder import CLOUD, PERIOD_NS, START_NS, cloud, sweep
 from tests.program import ffmap_here
@@ -62,3 +63,13 @@ def test_compressed_clouds_are_named_with_what_decompresses_them(tmp_path: Path)
     assert f"/side/points/draco: compressed clouds ({msgtype}) are not read" in problem
     command = "rosrun point_cloud_transport republish draco in:=/side/points raw out:=/side/points"
     assert f"`{command}` and record /side/points" in problem
+
+
+def test_packets_whose_decoder_is_not_installed_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(velodyne, "find_spec", lambda name: None)
+    lines = describe(bag_of(tmp_path / "a.bag", "velodyne_msgs/msg/VelodyneScan"))
+    (problem,) = (line for line in lines if line.startswith("  not found: "))
+    assert "/packets: a Velodyne's raw packets require velodyne-decoder" in problem
+    assert "pip install velodyne-decoder" in problem

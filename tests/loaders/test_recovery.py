@@ -30,9 +30,7 @@ def _entries(version: int) -> list:
     return sorted(entries, key=lambda entry: entry[1])
 
 
-def foreign_mcap(
-    path: Path, entries: list, chunked: bool, compression: CompressionType
-) -> Path:
+def foreign_mcap(path: Path, entries: list, chunked: bool, compression: CompressionType) -> Path:
     """Write a bag like ROS 2's own recorder: checksums, and chunks on request."""
     store = make_typestore(2)
     with path.open("wb") as file:

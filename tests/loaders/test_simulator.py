@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import NO_RETURN, Truth
-from ffmap.app.commands.simulate import simulate as simulate_command
+from ffmap.app.commands import simulate as simulate_command
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.simulator import SimulationSettings, simulate
 from ffmap.loaders.simulator.raytrace import World, scan
@@ -235,7 +235,7 @@ def test_wrong_settings_are_refused(
     values: dict[str, Any], overrides: list[str], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=message):
-        simulate_command(tmp_path / "drive.bag", values, overrides)
+        simulate_command.simulate(tmp_path / "drive.bag", values, overrides)
     assert not list(tmp_path.iterdir())
 
 
@@ -248,3 +248,9 @@ def test_no_file_is_replaced(tmp_path: Path) -> None:
     settings = SimulationSettings(building="small", sensor="vlp16", duration_s=0.5)
     simulate(tmp_path / "other.bag", settings)
     assert theirs.exists()
+
+
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulate_command, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="simulated drives require trimesh and embreex; install"):
+        simulate_command.simulate(tmp_path / "a.bag", {})
