@@ -30,7 +30,7 @@ from ffmap.loaders.recovery import (
     RecoveredRos1Reader,
     sqlite_reader,
 )
-from ffmap.loaders.text_files import TEXT_BYTES_MAX, require_regular
+from ffmap.loaders.text_files import require_regular
 
 Container = Literal["ros1", "sqlite3", "mcap"]
 Message: TypeAlias = Any  # A message as an object of rosbags, with the fields of the ROS message
@@ -41,7 +41,7 @@ _MAGIC: Mapping[bytes, Container] = {
     b"\x89MCAP0\r\n": "mcap",
     b"SQLite format 3\0": "sqlite3",
 }
-_COMPRESSED = re.compile(rb"""compression_mode: *["']?(file|message)""", re.IGNORECASE)
+_COMPRESSED = re.compile(r"""compression_mode: *["']?(file|message)""", re.IGNORECASE)
 _ADVICE = "give a ROS 1 .bag, a ROS 2 bag folder, an .mcap or a .db3"
 
 _GAP_NS = 1_000_000_000
@@ -171,17 +171,11 @@ class Bag:
         Where a recorder begins a new file, the two share only messages out of order.
         """
 
-        def span_ns(file: BagFile) -> tuple[int, int]:
-            heads = read_heads(file.reader, file.connections([topic]), 1)
-            times_ns = [time_ns for time_ns, _ in _undamaged(file, heads)]
-            return min(times_ns, default=2**63 - 1), max(times_ns, default=0)
-
-        for file, later in combinations(self.files, 2):
-            if later.start_ns >= file.stop_ns:
-                continue
-            (start, end), (later_start, later_end) = span_ns(file), span_ns(later)
-            shared_ns = min(end, later_end) - max(start, later_start)
-            if 0 < shared_ns >= min(end - start, later_end - later_start, _OUT_OF_ORDER_NS):
+        files = [file for file in self.files if file.connections([topic])]
+        for file, later in combinations(files, 2):
+            shared_ns = min(file.stop_ns, later.stop_ns) - later.start_ns
+            shorter_ns = min(file.stop_ns - file.start_ns, later.stop_ns - later.start_ns)
+            if 0 < shared_ns >= min(shorter_ns, _OUT_OF_ORDER_NS):
                 raise InputError(
                     f"{later.path}: its {topic} overlaps with that of {file.path} by "
                     f"{shared_ns / 1e9:.1f} s, so that one is a copy or two recorders ran at once; "
@@ -290,10 +284,8 @@ def _open_folder(folder: Path, warnings: list[str]) -> list[BagFile]:
         if entry.exists():
             require_regular(entry, _ADVICE)  # Opening a pipe would block
     metadata = folder / "metadata.yaml"
-    if metadata.exists():
-        with metadata.open("rb") as file:
-            if _COMPRESSED.search(file.read(TEXT_BYTES_MAX)):
-                return [_open_compressed(folder)]
+    if metadata.exists() and _COMPRESSED.search(metadata.read_text(errors="replace")):
+        return [_open_compressed(folder)]
     paths = [entry for entry in entries if _kind(entry) in (".mcap", ".db3")]
     paths = paths or [entry for entry in entries if _kind(entry) == ".bag"]
     if not paths:

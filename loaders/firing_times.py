@@ -146,31 +146,44 @@ def _unit_by_size(samples: Sequence[tuple[npt.NDArray[Any], int]]) -> str:
 
 
 def join_times(
-    parts: Sequence[npt.NDArray[Any]], offset_ns: Sequence[int]
-) -> list[FloatArray] | None:
-    """Convert the times in the parts of a revolution to seconds from the first time stamp.
+    name: str, parts: Sequence[npt.NDArray[Any]], offset_ns: Sequence[int]
+) -> list[npt.NDArray[Any]]:
+    """Count the times in the parts of a revolution from one start, in the parts' own type.
 
-    None where they increase from part to part already. The step to the next part shows the unit;
-    where it does not, each part's time stamp is the time of its points.
+    Times that increase from part to part are kept. Others count from each part's time stamp, and
+    become seconds, or nanoseconds as integers; the step to the next part shows their unit. Where
+    it does not, each part's time stamp is the time of its points.
 
     Args:
         parts: the values (n,) of each part.
         offset_ns: the time stamp of each part, from the first one's.
+
+    Raises CloudError where integers are too short for nanoseconds.
     """
     finite = [(part[np.isfinite(part)], ns) for part, ns in zip(parts, offset_ns, strict=True)]
     filled = [(values, ns) for values, ns in finite if len(values)]
     if len(filled) < 2:
-        return None
+        return list(parts)
     span = float(np.median([_span(values) for values, _ in filled]))
     if np.median(np.diff([float(values.min()) for values, _ in filled])) > span / 2:
-        return None
+        return list(parts)
     step_ns = float(np.median(np.diff([ns for _, ns in filled])))
-    least_ns, most_ns = step_ns / _PART_SHARE, step_ns * _PART_SHARE
-    unit_ns = next((u for u in _UNITS_NS.values() if least_ns < span * u < most_ns), 0)
-    return [
-        1e-9 * (part.astype(np.float64) * unit_ns + ns)
-        for part, ns in zip(parts, offset_ns, strict=True)
-    ]
+    units = _UNITS_NS.values()
+    unit_ns = next(
+        (u for u in units if step_ns / _PART_SHARE < span * u < step_ns * _PART_SHARE), 0
+    )
+    dtype = parts[0].dtype
+    if not np.issubdtype(dtype, np.integer):
+        return [
+            (part * (unit_ns / 1e9) + ns * 1e-9).astype(dtype)
+            for part, ns in zip(parts, offset_ns, strict=True)
+        ]
+    joined = [p.astype(np.int64) * unit_ns + ns for p, ns in zip(parts, offset_ns, strict=True)]
+    if max(int(times.max()) for times in joined if len(times)) > np.iinfo(dtype).max:
+        raise CloudError(
+            f"field {name} is too short an integer for the times of a revolution in nanoseconds"
+        )
+    return [times.astype(dtype) for times in joined]
 
 
 def azimuth_times(points_sensor: FloatArray, ring: IntArray, period_ns: int) -> IntArray:

@@ -228,9 +228,9 @@ def make_cloud(typestore: Typestore, header: Message, points: npt.NDArray[np.voi
 def merge_clouds(messages: Sequence[Message]) -> Message:
     """Merge the clouds of one revolution, in order; with the header of the first.
 
-    The field `time` (float32, seconds from the first time stamp) replaces their fields of times,
-    except where these count from one start for all parts. Without such fields, each cloud's own
-    time stamp is the time of its points.
+    Their first filled field of times counts from one start afterwards (`join_times`). Without such
+    a field, `time` (float32, seconds from the first time stamp) is appended: each cloud's own time
+    stamp is the time of its points.
     """
     # A part without points may have any layout.
     first = next((m for m in messages if m.width * m.height), messages[0])
@@ -239,22 +239,20 @@ def merge_clouds(messages: Sequence[Message]) -> Message:
     for message in messages:
         found = describe_layout(message, "")
         if found.point == layout.point:
-            parts.append(points_of(message, found))
+            parts.append(points_of(message, found).copy())
             offsets_ns.append(stamp_ns(message) - stamp_ns(messages[0]))
     fields, step = list(first.fields), layout.point.itemsize
+    if names := layout.time_fields:
+        name = next((n for n in names if any(part[n].any() for part in parts)), names[0])
+        joined = join_times(name, [part[name] for part in parts], offsets_ns)
+        for part, times in zip(parts, joined, strict=True):
+            part[name] = times
     data = np.concatenate([part.view(np.uint8).reshape(-1, step) for part in parts])
-    names = layout.time_fields
-    name = next((n for n in names if any(part[n].any() for part in parts)), None)
-    times: Sequence[FloatArray] | None
-    if name is not None:
-        times = join_times([part[name] for part in parts], offsets_ns)
-    else:
-        times = [np.full(len(p), 1e-9 * ns) for p, ns in zip(parts, offsets_ns, strict=True)]
-    if times is not None:
-        own = replace(fields[0], name="time", offset=step, datatype=_FLOAT32, count=1)
-        fields = [*(field for field in fields if field.name not in names), own]
-        seconds = np.concatenate(times).astype(">f4" if first.is_bigendian else "<f4")
-        data = np.hstack([data, seconds[:, None].view(np.uint8)])
+    if not names:
+        fields.append(replace(fields[0], name="time", offset=step, datatype=_FLOAT32, count=1))
+        times = np.repeat([1e-9 * offset for offset in offsets_ns], [len(part) for part in parts])
+        times = times.astype(">f4" if first.is_bigendian else "<f4")
+        data = np.hstack([data, times[:, None].view(np.uint8)])
     return replace(
         first,
         header=messages[0].header,
