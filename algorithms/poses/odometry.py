@@ -34,10 +34,11 @@ _STEP_MIN_NS = 5_000_000
 """Minimum time between two poses: no lidar spins faster; noise would look like motion."""
 _SPACING_NS, _SPACING_PERIODS = 220_000_000, 2.2
 """Maximum time between two poses in steady motion: every second scan of a lidar that turns ten
-times a second. Poses interpolated over 0.2 s are as good as registered ones."""
-_STEADY = Change(degrees=1.0, metres=0.02)
-"""Maximum change of the motion over `_SPACING_NS` for a scan to be left out: an eighth of it is the
-error of a pose interpolated half-way."""
+times a second."""
+_STEADY = Change(degrees=0.3, metres=0.01)
+"""Maximum change of the motion over `_SPACING_NS` for a scan to be left out. An eighth of it is the
+error of a pose interpolated half-way: less than that of a registration (0.06° and 2 mm). At 1° and
+2 cm, orientations were half as wrong again, and drift doubled."""
 _RECENT_STEPS = 20
 """Number of steps whose median is the period."""
 _EVIDENCE_EVERY_SCANS = 5

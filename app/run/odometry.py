@@ -25,7 +25,7 @@ from ffmap.loaders.scans import SkippedScan, scans_on_demand
 
 _COMPANION_NS = 200_000_000
 """Maximum age (ns) of the other lidar's scan that is registered with a horizontal one."""
-_FORMAT = 15
+_FORMAT = 16
 """Raised whenever a change to reading or registering scans changes poses."""
 _OnDemand = tuple[int, int, Callable[[], Scan | None]]
 """Number and stamp of a cloud, and what decodes it; None where it gives no scan."""
