@@ -3,7 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.trajectory import GAP_PERIODS
-from ffmap.algorithms.poses.motion import Change, extrapolate, may_change, seen_at
+from ffmap.algorithms.poses.motion import extrapolate, may_change, seen_at
 from ffmap.algorithms.poses.refinement import (
     WEAK_INLIER_SHARE,
     WEAK_SHARE,
@@ -32,17 +32,10 @@ _RETRY_NS = 1_000_000_000
 """Time between two searches for a lost pose: a search takes as long as ten scans."""
 _STEP_MIN_NS = 5_000_000
 """Minimum time between two poses: no lidar spins faster; noise would look like motion."""
-_SPACING_NS, _SPACING_PERIODS = 220_000_000, 2.2
-"""Maximum time between two poses in steady motion: every second scan of a lidar that turns ten
-times a second."""
-_STEADY = Change(degrees=0.3, metres=0.01)
-"""Maximum change of the motion over `_SPACING_NS` for a scan to be left out. An eighth of it is the
-error of a pose interpolated half-way: less than that of a registration (0.06° and 2 mm). At 1° and
-2 cm, orientations were half as wrong again, and drift doubled."""
 _RECENT_STEPS = 20
 """Number of steps whose median is the period."""
-_EVIDENCE_EVERY_SCANS = 5
-"""The local map and the residual are kept for every n-th registered scan."""
+_EVIDENCE_EVERY_SCANS = 10
+"""The local map and the residual are kept for every n-th scan."""
 
 
 class OdometrySettings(StepSettings):
@@ -98,7 +91,6 @@ class Registration:
     refined_inlier_share, weakest_share, refused, agreement, rival: see `Refinement`; NaN and False
         if poses are not refined. The first is NaN for the second scan, too.
     milliseconds: duration of registration and refinement.
-    left_out: number of the cloud before it that was left out in steady motion; -1 for none.
     """
 
     index: int
@@ -117,7 +109,6 @@ class Registration:
     agreement: float
     rival: float
     milliseconds: float
-    left_out: int = -1
 
 
 def register_scans(
@@ -130,8 +121,7 @@ def register_scans(
 ) -> Iterator[Registration]:
     """Register scans one after another to the map that they build.
 
-    While the motion is steady, scans between two poses are left out, and not even read. Scans after
-    a gap that match nothing in the map have no pose, until one does.
+    Scans after a gap that match nothing in the map have no pose, until one does.
 
     scans: by increasing time; one that is not later than the last one, or determines no pose, is
         skipped.
@@ -142,21 +132,14 @@ def register_scans(
     registrar = _Registrar(settings, refinement, T_sensor_companion, T_base_sensor)
     steps_ns: deque[int] = deque(maxlen=_RECENT_STEPS)
     lost_ns: int | None = None
-    left_out: GivenScan | None = None
     for given, following in pairwise(chain(scans, [None])):
         assert given is not None
         if following is not None:
             steps_ns.append(following.stamp_ns - given.stamp_ns)
-            if registrar.may_skip_to(following.stamp_ns, float(np.median(steps_ns))):
-                left_out = given
-                continue
+            registrar.period_ns = float(np.median(steps_ns))
         if lost_ns is not None and given.stamp_ns - lost_ns < _RETRY_NS:
             continue
-        read = given.read()
-        if read is None and left_out is not None:
-            given, read, left_out = left_out, left_out.read(), None
-        before, left_out = left_out, None
-        if read is None:
+        if (read := given.read()) is None:
             continue
         scan, companion = read
         if not (registrar.is_next(scan) and _determines_pose(scan, settings)):
@@ -170,7 +153,7 @@ def register_scans(
             continue
         lost_ns = given.stamp_ns if found is None else None
         if found is not None:
-            yield found if before is None else replace(found, left_out=before.index)
+            yield found
 
 
 class _Registrar:
@@ -192,16 +175,8 @@ class _Registrar:
         if refinement.enabled:
             self._refiner = Refiner(refinement, self._range_m, T_sensor_companion, T_base_sensor)
         self._last: Refinement | None = None
-        self._steady = False
         self._count = 0
-        self._last_stamp_ns = 0
-        self._period_ns = np.inf
-
-    def may_skip_to(self, stamp_ns: int, period_ns: float) -> bool:
-        """Whether the motion is steady until a scan that comes soon enough. period_ns: of scans."""
-        self._period_ns = period_ns
-        spacing_ns = min(_SPACING_NS, _SPACING_PERIODS * period_ns)
-        return self._steady and stamp_ns - self._last_stamp_ns <= spacing_ns
+        self.period_ns = np.inf
 
     def is_next(self, scan: Scan) -> bool:
         """Whether a scan is later than the last one; otherwise noise would look like motion."""
@@ -235,11 +210,7 @@ class _Registrar:
         if refined is None:
             return None
         milliseconds = 1e3 * (time.perf_counter() - started)
-        change = (refined.motion_per_ns - motion_per_ns) * _SPACING_NS
-        doubtful = self._count < 2 or after_gap or refined.refused
-        # Without the refinement, poses are KISS-ICP's as it gives them.
-        self._steady = not (doubtful or self._refiner is None) and _STEADY.share_of(change) <= 1.0
-        self._last, self._last_stamp_ns = refined, given.stamp_ns
+        self._last = refined
         self._count += 1
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
         T_prediction_kiss = transforms.invert(T_prediction) @ T_kiss
@@ -267,7 +238,7 @@ class _Registrar:
 
     def _is_gap(self, elapsed_ns: int) -> bool:
         """Whether the sensor may have moved by more than `LOST_DISTANCE_M` unexpectedly."""
-        is_long = elapsed_ns > GAP_PERIODS * self._period_ns
+        is_long = elapsed_ns > GAP_PERIODS * self.period_ns
         return is_long and may_change(elapsed_ns).metres > LOST_DISTANCE_M
 
 

@@ -25,7 +25,7 @@ from ffmap.loaders.scans import SkippedScan, scans_on_demand
 
 _COMPANION_NS = 200_000_000
 """Maximum age (ns) of the other lidar's scan that is registered with a horizontal one."""
-_FORMAT = 16
+_FORMAT = 17
 """Raised whenever a change to reading or registering scans changes poses."""
 _OnDemand = tuple[int, int, Callable[[], Scan | None]]
 """Number and stamp of a cloud, and what decodes it; None where it gives no scan."""
@@ -38,7 +38,7 @@ class Odometry:
     index: (n,) number of each cloud. stamp_ns: (n,). T_odom_sensor: (n, 4, 4) as registered.
     pose_graph: None where loops are not closed. doubts: place among the scans of the first one
     after a gap, and why its pose may be wrong. failed: scans whose registration raised an
-    exception; none from the cache. left_out: numbers of the clouds left out in steady motion.
+    exception; none from the cache.
     """
 
     sensor: Sensor
@@ -48,7 +48,6 @@ class Odometry:
     pose_graph: PoseGraph | None
     doubts: tuple[tuple[int, str], ...]
     failed: tuple[SkippedScan, ...]
-    left_out: frozenset[int]
     cached: bool
     cache_warning: str | None
 
@@ -107,7 +106,6 @@ def run_odometry(
     results = writer.keep(computed) if writer is not None else cached.results
     assert results is not None
     index: list[int] = []
-    left_out: set[int] = set()
     stamp_ns: list[int] = []
     T_odom_sensor: list[FloatArray] = []
     doubts: list[tuple[int, str]] = []
@@ -119,7 +117,6 @@ def run_odometry(
         if (why := doubt(result)) is not None:
             doubts.append((len(index), why))
         index.append(result.index)
-        left_out.add(result.left_out)
         stamp_ns.append(result.stamp_ns)
         T_odom_sensor.append(result.T_odom_sensor)
         on_scan(result)
@@ -131,7 +128,6 @@ def run_odometry(
         pose_graph=pose_graph,
         doubts=tuple(doubts),
         failed=tuple(failed),
-        left_out=frozenset(left_out),
         cached=writer is None,
         cache_warning=cached.damage or (writer.failure if writer else None),
     )

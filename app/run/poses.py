@@ -139,8 +139,7 @@ def _report_odometry(
             f"odometry: read from the cache in {cache_folder()}; set {CACHE_VARIABLE} to use "
             "another folder"
         )
-    known = odometry.left_out.union(odometry.index.tolist())
-    skipped = [cloud for cloud in range(len(odometry.sensor.index)) if cloud not in known]
+    skipped = sorted(set(range(len(odometry.sensor.index))) - set(odometry.index.tolist()))
     if skipped:
         reasons = [cloud.reason for cloud in odometry.failed]
         why = (

@@ -16,8 +16,6 @@ from tests.box_drive import (
     sweep,
 )
 
-pytestmark = pytest.mark.usefixtures("every_scan")
-
 GAP_AT, PERIODS = 12, 16
 """Scans before the gap, and missing ones."""
 HALL = Box(
