@@ -54,10 +54,10 @@ class Progress:
         self._name, self._started = name, time.monotonic()
         self._task = self._bars.add_task(name, total=total)
 
-    def advance(self, steps: int = 1) -> None:
-        """Advance the stage."""
+    def advance(self) -> None:
+        """Advance the stage by one step."""
         if self._task is not None:
-            self._bars.advance(self._task, steps)
+            self._bars.advance(self._task)
 
     def warn(self, text: str) -> None:
         """Print a warning."""

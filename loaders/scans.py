@@ -1,9 +1,8 @@
 """Scans of a topic, numbered over the whole bag, read in any slice."""
 
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -45,9 +44,22 @@ def read_messages(
 
     Yields a CloudError in place of a message that cannot be decoded.
     """
-    for i, to_cloud in _undecoded(bag, index, first, count):
+    sensor = sensor_of(bag.topics[index.topic])
+    assert sensor is not None
+    to_cloud = sensor.decoder(bag, index.topic)
+    stop = len(index) if count is None else min(first + count, len(index))
+    if first >= stop:
+        return
+    raws = bag.messages([index.topic], start_ns=int(index.log_time_ns[first]))
+    raws = islice(raws, int(index.earlier[first]), None)
+    for i in range(first, stop):
+        group = list(islice(raws, int(index.message_count[i])))
+        if not group:
+            return
+        # Parts may have been recorded twice.
+        kept = [raw for k, raw in enumerate(group) if not k or raw.data != group[k - 1].data]
         try:
-            yield i, to_cloud()
+            yield i, to_cloud(kept, int(index.stamp_ns[i]))
         except InputError as error:
             yield i, error if isinstance(error, CloudError) else CloudError(str(error))
 
@@ -64,51 +76,14 @@ def read_scans(
     A damaged or inconsistent cloud, one without returns, and one with an unusable stamp are
     SkippedScans.
     """
-    for i, decoded in scans_on_demand(bag, index, first, count, decoding):
-        yield i, decoded()
-
-
-def scans_on_demand(
-    bag: Bag,
-    index: CloudIndex,
-    first: int,
-    count: int | None,
-    decoding: CloudDecoding,
-) -> Iterator[tuple[int, Callable[[], Scan | SkippedScan]]]:
-    """Read as `read_scans` does, but decode only the scans that are called for."""
-
-    def decoded(i: int, to_cloud: Callable[[], Message]) -> Scan | SkippedScan:
+    for i, message in read_messages(bag, index, first, count):
         stamp = int(index.stamp_ns[i])
-        try:
-            message = to_cloud()
-        except InputError as error:
-            return SkippedScan(i, stamp, str(error))
-        return _decoded(message, i, stamp, decoding)
-
-    for i, to_cloud in _undecoded(bag, index, first, count):
-        usable = bool(index.usable[i])
-        yield i, partial(decoded, i, to_cloud) if usable else partial(_wrongly_stamped, index, i)
-
-
-def _undecoded(
-    bag: Bag, index: CloudIndex, first: int, count: int | None
-) -> Iterator[tuple[int, Callable[[], Message]]]:
-    """Read the messages of each cloud, and give what makes one PointCloud2 of them."""
-    sensor = sensor_of(bag.topics[index.topic])
-    assert sensor is not None
-    to_cloud = sensor.decoder(bag, index.topic)
-    stop = len(index) if count is None else min(first + count, len(index))
-    if first >= stop:
-        return
-    raws = bag.messages([index.topic], start_ns=int(index.log_time_ns[first]))
-    raws = islice(raws, int(index.earlier[first]), None)
-    for i in range(first, stop):
-        group = list(islice(raws, int(index.message_count[i])))
-        if not group:
-            return
-        # Parts may have been recorded twice.
-        kept = [raw for k, raw in enumerate(group) if not k or raw.data != group[k - 1].data]
-        yield i, partial(to_cloud, kept, int(index.stamp_ns[i]))
+        if isinstance(message, CloudError):
+            yield i, SkippedScan(i, stamp, str(message))
+        elif not index.usable[i]:
+            yield i, _wrongly_stamped(index, i)
+        else:
+            yield i, _decoded(message, i, stamp, decoding)
 
 
 def _decoded(message: Message, i: int, stamp: int, decoding: CloudDecoding) -> Scan | SkippedScan:

@@ -1,6 +1,6 @@
 """A lidar of 16 rings that is driven through a box with pillars along a known way."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, Scan
-from ffmap.algorithms.poses.odometry import (
-    GivenScan,
-    OdometrySettings,
-    Registration,
-    register_scans,
-)
+from ffmap.algorithms.poses.odometry import OdometrySettings, Registration, register_scans
 from ffmap.algorithms.poses.refinement import RefinementSettings
 from tests.synthetic import Box, ranges
 
@@ -81,15 +76,8 @@ def later(scan: Scan, by_ns: int) -> Scan:
     return replace(scan, start_ns=scan.start_ns + by_ns, stamp_ns=scan.stamp_ns + by_ns)
 
 
-def on_demand(scans: Iterable[Given]) -> list[GivenScan]:
-    return [
-        GivenScan(index, scan.stamp_ns, lambda scan=scan, other=other: (scan, other))
-        for index, scan, other in scans
-    ]
-
-
 def registered(scans: list[Scan], **refinement: bool) -> list[Registration]:
-    given = on_demand((i, scan, None) for i, scan in enumerate(scans))
+    given = [(i, scan, None) for i, scan in enumerate(scans)]
     settings = OdometrySettings(), RefinementSettings(**refinement)
     return list(register_scans(given, *settings, None, T_BASE_HORIZONTAL))
 

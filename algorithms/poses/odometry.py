@@ -4,7 +4,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import chain, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,20 +58,6 @@ class OdometrySettings(StepSettings):
 
 
 @dataclass(frozen=True)
-class GivenScan:
-    """A horizontal scan that may be registered.
-
-    index: of its cloud in the bag. stamp_ns: of its cloud.
-    read: decodes it, and with it the last scan of the other lidar, if any, that ended before it;
-        None where it has no returns.
-    """
-
-    index: int
-    stamp_ns: int
-    read: Callable[[], tuple[Scan, Scan | None] | None]
-
-
-@dataclass(frozen=True)
 class Registration:
     """One registered horizontal scan.
 
@@ -112,7 +97,7 @@ class Registration:
 
 
 def register_scans(
-    scans: Iterable[GivenScan],
+    scans: Iterable[tuple[int, Scan, Scan | None]],
     settings: OdometrySettings,
     refinement: RefinementSettings,
     T_sensor_companion: FloatArray | None = None,
@@ -123,35 +108,27 @@ def register_scans(
 
     Scans after a gap that match nothing in the map have no pose, until one does.
 
-    scans: by increasing time; one that is not later than the last one, or determines no pose, is
-        skipped.
+    scans: index, scan, and the last scan of the other lidar, if any, that ended before it. A scan
+        that is not later than the last one, or determines no pose, is skipped.
     T_sensor_companion, T_base_sensor: (4, 4) extrinsics, see `Refiner`.
     on_failure: called for a scan whose registration raises an exception, which then has no pose;
         None to raise it.
     """
     registrar = _Registrar(settings, refinement, T_sensor_companion, T_base_sensor)
-    steps_ns: deque[int] = deque(maxlen=_RECENT_STEPS)
     lost_ns: int | None = None
-    for given, following in pairwise(chain(scans, [None])):
-        assert given is not None
-        if following is not None:
-            steps_ns.append(following.stamp_ns - given.stamp_ns)
-            registrar.period_ns = float(np.median(steps_ns))
-        if lost_ns is not None and given.stamp_ns - lost_ns < _RETRY_NS:
+    for index, scan, companion in scans:
+        if lost_ns is not None and scan.reference_ns - lost_ns < _RETRY_NS:
             continue
-        if (read := given.read()) is None:
-            continue
-        scan, companion = read
         if not (registrar.is_next(scan) and _determines_pose(scan, settings)):
             continue
         try:
-            found = registrar.register(given, scan, companion)
+            found = registrar.register(index, scan, companion)
         except Exception as error:
             if on_failure is None or isinstance(error, MemoryError | OSError):
                 raise
-            on_failure(given.index, scan, error)
+            on_failure(index, scan, error)
             continue
-        lost_ns = given.stamp_ns if found is None else None
+        lost_ns = scan.reference_ns if found is None else None
         if found is not None:
             yield found
 
@@ -176,13 +153,13 @@ class _Registrar:
             self._refiner = Refiner(refinement, self._range_m, T_sensor_companion, T_base_sensor)
         self._last: Refinement | None = None
         self._count = 0
-        self.period_ns = np.inf
+        self._steps_ns: deque[int] = deque(maxlen=_RECENT_STEPS)
 
     def is_next(self, scan: Scan) -> bool:
         """Whether a scan is later than the last one; otherwise noise would look like motion."""
         return self._last is None or scan.reference_ns - self._last.stamp_ns >= _STEP_MIN_NS
 
-    def register(self, given: GivenScan, scan: Scan, companion: Scan | None) -> Registration | None:
+    def register(self, index: int, scan: Scan, companion: Scan | None) -> Registration | None:
         """Register a scan; None where it matches nothing after a gap."""
         kiss, last, stamp_ns = self._kiss, self._last, scan.reference_ns
         threshold_m = float(kiss.adaptive_threshold.get_threshold())
@@ -210,6 +187,8 @@ class _Registrar:
         if refined is None:
             return None
         milliseconds = 1e3 * (time.perf_counter() - started)
+        if last is not None:
+            self._steps_ns.append(stamp_ns - last.stamp_ns)
         self._last = refined
         self._count += 1
         residual_m, inlier_share = _residual(keypoints, local_map, T_kiss, threshold_m)
@@ -217,7 +196,7 @@ class _Registrar:
         T_refined = refined.T_odom_sensor
         T_refined_kiss = T_refined @ transforms.invert(T_kiss)
         return Registration(
-            index=given.index,
+            index=index,
             stamp_ns=stamp_ns,
             T_odom_sensor=T_refined,
             keypoints_sensor=refined.cloud_sensor,
@@ -238,8 +217,8 @@ class _Registrar:
 
     def _is_gap(self, elapsed_ns: int) -> bool:
         """Whether the sensor may have moved by more than `LOST_DISTANCE_M` unexpectedly."""
-        is_long = elapsed_ns > GAP_PERIODS * self.period_ns
-        return is_long and may_change(elapsed_ns).metres > LOST_DISTANCE_M
+        is_long = elapsed_ns > GAP_PERIODS * np.median([*self._steps_ns, elapsed_ns])
+        return bool(is_long) and may_change(elapsed_ns).metres > LOST_DISTANCE_M
 
 
 def weakness(registration: Registration) -> str | None:

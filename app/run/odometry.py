@@ -2,10 +2,8 @@
 
 import hashlib
 import json
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
 
@@ -14,21 +12,19 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.scan import FloatArray, IntArray, Scan, within_range
 from ffmap.algorithms.base.trajectory import GAP_PERIODS, Trajectory
-from ffmap.algorithms.poses.odometry import GivenScan, Registration, doubt
+from ffmap.algorithms.poses.odometry import Registration, doubt
 from ffmap.algorithms.poses.pose_graph import PoseGraph
 from ffmap.app.run.odometry_cache import CacheWriter, read_cached
 from ffmap.app.setup.inputs import Inputs, Sensor
 from ffmap.app.setup.settings import Settings
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
-from ffmap.loaders.scans import SkippedScan, scans_on_demand
+from ffmap.loaders.scans import SkippedScan, read_scans
 
 _COMPANION_NS = 200_000_000
 """Maximum age (ns) of the other lidar's scan that is registered with a horizontal one."""
-_FORMAT = 17
+_FORMAT = 18
 """Raised whenever a change to reading or registering scans changes poses."""
-_OnDemand = tuple[int, int, Callable[[], Scan | None]]
-"""Number and stamp of a cloud, and what decodes it; None where it gives no scan."""
 
 
 @dataclass(frozen=True)
@@ -232,58 +228,25 @@ def _companion(inputs: Inputs, settings: Settings) -> Sensor | None:
 
 def _with_companions(
     bag_path: BagPath, sensor: Sensor, companion: Sensor | None, range_max_m: float
-) -> Iterator[GivenScan]:
-    """Read the usable scans on demand; with each the companion's last scan that ended before it."""
-    others = _Companions(_on_demand(bag_path, companion, range_max_m) if companion else iter(()))
-    for index, stamp_ns, decode in _on_demand(bag_path, sensor, range_max_m):
-        yield GivenScan(index, stamp_ns, partial(_with_companion, decode, others))
+) -> Iterator[tuple[int, Scan, Scan | None]]:
+    """Read the usable scans; with each the companion's last scan that ended before it, once."""
+    others = _usable_scans(bag_path, companion, range_max_m) if companion is not None else iter(())
+    following = next(others, None)
+    for index, scan in _usable_scans(bag_path, sensor, range_max_m):
+        latest: Scan | None = None
+        while following is not None and following[1].end_ns <= scan.end_ns:
+            latest = following[1]
+            following = next(others, None)
+        if latest is not None and scan.end_ns - latest.end_ns > _COMPANION_NS:
+            latest = None
+        yield index, scan, latest
 
 
-def _with_companion(
-    decode: Callable[[], Scan | None], others: "_Companions"
-) -> tuple[Scan, Scan | None] | None:
-    scan = decode()
-    return None if scan is None else (scan, others.last_before(scan.end_ns))
-
-
-class _Companions:
-    """Scans of the other lidar; only those that are registered are decoded."""
-
-    def __init__(self, scans: Iterator[_OnDemand]) -> None:
-        self._scans = scans
-        self._following = next(scans, None)
-        # The last one may not have ended yet.
-        self._latest: deque[_OnDemand] = deque(maxlen=2)
-        self._sweep_ns = 0
-
-    def last_before(self, end_ns: int) -> Scan | None:
-        """The last scan that ended before a time, at most `_COMPANION_NS`; each scan only once."""
-        while self._following is not None and self._following[1] <= end_ns:
-            self._latest.append(self._following)
-            self._following = next(self._scans, None)
-        for candidate in reversed(self._latest):
-            _, stamp_ns, decode = candidate
-            if stamp_ns + self._sweep_ns > end_ns or (scan := decode()) is None:
-                continue
-            self._sweep_ns = scan.end_ns - stamp_ns
-            if scan.end_ns > end_ns:
-                continue
-            while self._latest.popleft() is not candidate:
-                pass
-            return scan if end_ns - scan.end_ns <= _COMPANION_NS else None
-        return None
-
-
-def _on_demand(bag_path: BagPath, sensor: Sensor, range_max_m: float) -> Iterator[_OnDemand]:
+def _usable_scans(
+    bag_path: BagPath, sensor: Sensor, range_max_m: float
+) -> Iterator[tuple[int, Scan]]:
     """Read the usable scans without returns that are too far away: registration fails on those."""
-
-    def near(decode: Callable[[], Scan | SkippedScan]) -> Scan | None:
-        scan = decode()
-        near = within_range(scan, range_max_m) if isinstance(scan, Scan) else None
-        return near if near is not None and len(near) else None
-
-    index = sensor.index
     with open_bag(bag_path) as bag:
-        for i, decode in scans_on_demand(bag, index, 0, None, sensor.lidar.decoding):
-            if index.usable[i]:
-                yield i, int(index.stamp_ns[i]), partial(near, decode)
+        for index, scan in read_scans(bag, sensor.index, 0, None, sensor.lidar.decoding):
+            if isinstance(scan, Scan) and len(near := within_range(scan, range_max_m)):
+                yield index, near

@@ -102,7 +102,7 @@ class _RegistrationLog:
     def __init__(self, sensor: Sensor, report: Report) -> None:
         self.weak: list[str] = []
         self._sensor, self._report = sensor, report
-        self._count = self._done = 0
+        self._count = 0
         report.progress.stage("odometry", len(sensor.index))
 
     def add(self, registration: Registration) -> None:
@@ -118,9 +118,7 @@ class _RegistrationLog:
         self._count += 1
         if self._count % _FLUSHED_AFTER == 0:
             self._report.flush()
-        # Scans between two poses are left out.
-        self._report.progress.advance(registration.index + 1 - self._done)
-        self._done = registration.index + 1
+        self._report.progress.advance()
 
     def check_failed(self, failed: Sequence[SkippedScan]) -> None:
         self._report.check_failed(failed, len(self._sensor.index), "registration")

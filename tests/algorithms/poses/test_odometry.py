@@ -20,7 +20,6 @@ from tests.box_drive import (
     T_HORIZONTAL_VERTICAL,
     Given,
     errors_of,
-    on_demand,
     registered,
     sweep,
 )
@@ -30,7 +29,7 @@ from tests.box_drive import (
 def test_the_way_through_a_box_is_found(scans: list[Given], companions: bool) -> None:
     given = scans if companions else [(i, scan, None) for i, scan, _ in scans]
     settings = OdometrySettings(), RefinementSettings()
-    found = list(register_scans(on_demand(given), *settings, T_HORIZONTAL_VERTICAL))
+    found = list(register_scans(given, *settings, T_HORIZONTAL_VERTICAL))
     assert [r.index for r in found] == list(range(40))
     assert [r.stamp_ns for r in found] == [scan.reference_ns for _, scan, _ in scans]
     off_m, off_deg = errors_of(found)
@@ -43,7 +42,7 @@ def test_the_way_through_a_box_is_found(scans: list[Given], companions: bool) ->
     assert np.flatnonzero(np.isnan(shares)).tolist() == [1]
     assert all(0 < r.weakest_share <= 1 for r in found)
     assert [weakness(r) for r in found[:12]] == [None] * 12
-    again = list(register_scans(on_demand(given[:12]), *settings, T_HORIZONTAL_VERTICAL))
+    again = list(register_scans(given[:12], *settings, T_HORIZONTAL_VERTICAL))
     for first, second in zip(found, again, strict=False):
         np.testing.assert_array_equal(first.T_odom_sensor, second.T_odom_sensor)
 
@@ -78,7 +77,7 @@ def test_a_scan_that_is_not_later_than_the_last_is_skipped(
 def test_registrations_in_a_bare_corridor_are_weak() -> None:
     given = [(i, sweep(i, box=CORRIDOR), None) for i in range(8)]
     settings = OdometrySettings(range_max_m=20.0), RefinementSettings()
-    why = [weakness(r) for r in register_scans(on_demand(given), *settings)]
+    why = [weakness(r) for r in register_scans(given, *settings)]
     assert why[0] is None
     assert all("one direction is not constrained" in str(w) for w in why[2:])
 
@@ -132,8 +131,8 @@ def test_a_scan_whose_registration_fails_has_no_pose(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(Refiner, "refine", refine)
     settings = OdometrySettings(), RefinementSettings()
-    found = list(register_scans(on_demand(given), *settings, on_failure=fail))
+    found = list(register_scans(given, *settings, on_failure=fail))
     assert [r.index for r in found] == [0, 1, 3, 4]
     assert failed == [(2, "no surface")]
     with pytest.raises(ValueError, match="no surface"):
-        list(register_scans(on_demand(given), *settings))
+        list(register_scans(given, *settings))
