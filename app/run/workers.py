@@ -19,11 +19,12 @@ T = TypeVar("T")
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
-    "MALLOC_MMAP_THRESHOLD_": str(64 << 20),
-    "MALLOC_TRIM_THRESHOLD_": str(256 << 20),
+    "MALLOC_MMAP_THRESHOLD_": str(4 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(16 << 20),
 }
 """Read by NumPy and the C library at their start: the processes themselves fill the cores, and
-every cloud needs the memory again that the last one freed."""
+every cloud needs the memory again that the last one freed. What is larger than a cloud is given
+back: with larger thresholds the odometry's memory was kept through the run."""
 
 
 class WorkerLostError(InputError):
