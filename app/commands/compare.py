@@ -57,9 +57,7 @@ def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, q
         Progress(quiet) as progress,
         tempfile.TemporaryDirectory(prefix="comparison-", dir=recording.parent) as spool,
     ):
-        runs = [
-            _open(letter, run, warnings) for letter, run in zip(letters, found, strict=False)
-        ]
+        runs = [_open(letter, run, warnings) for letter, run in zip(letters, found, strict=False)]
         for warning in warnings:
             progress.warn(warning)
         comparison = _write(runs, warnings, Path(spool), recording, scans, progress)

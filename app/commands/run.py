@@ -31,13 +31,16 @@ def run(
     out: Path | None = None,
     overwrite: bool = False,
     latest: bool = False,
-) -> None:
-    """Run on a bag. latest: point the link `latest` beside the run folder at it.
+) -> Path:
+    """Run on a bag; returns the run folder.
+
+    latest: point the link `latest` beside the run folder at it.
 
     Raises InputError if the input is unusable or `out` holds another run.
     """
     with new_run(bag, settings, options, out, overwrite) as prepared:
         _perform(prepared, latest)
+        return prepared.folder
 
 
 def resume(folder: Path, options: RunOptions) -> None:

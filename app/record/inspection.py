@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
@@ -87,21 +88,29 @@ class ExplainedScan:
 
 def write(out: Path, recording_id: str, scan: ExplainedScan) -> None:
     """Write the recording of one scan."""
+    with open_log(out, recording_id, layout=layout_of(scan)) as log:
+        log_explained(log, scan)
+
+
+def layout_of(scan: ExplainedScan) -> rrb.Blueprint:
+    """Return the layout of the recording of one scan."""
     placed, labelling = scan.level.placed, scan.labelling
-    size_m = _profile_size(placed, labelling)
     kinds = scan.faults.kinds if scan.faults is not None else ()
     middle = _middle(placed, labelling, scan.line)
-    layout = inspect_blueprint.build(size_m, scan.line, kinds, middle)
-    with open_log(out, recording_id, layout=layout) as log:
-        slope_max = labelling.settings.vertical_structures.slope_max
-        log_static(log, {}, scan.document, slope_max)
-        log_scan(log, None, scan.level, labelling, 0)
-        lines = _Lines(log, scan)
-        lines.log_styles(*size_m)
-        for reason in scan.reasons:
-            log.at_line(reason.line)
-            lines.log_line(reason)
-        log.text("/why/scan", scan.document)
+    return inspect_blueprint.build(_profile_size(placed, labelling), scan.line, kinds, middle)
+
+
+def log_explained(log: Log, scan: ExplainedScan) -> None:
+    """Log one scan with all evidence; the timeline `line` steps through its lines."""
+    labelling = scan.labelling
+    log_static(log, {}, scan.document, labelling.settings.vertical_structures.slope_max)
+    log_scan(log, None, scan.level, labelling, 0)
+    lines = _Lines(log, scan)
+    lines.log_styles(*_profile_size(scan.level.placed, labelling))
+    for reason in scan.reasons:
+        log.at_line(reason.line)
+        lines.log_line(reason)
+    log.text("/why/scan", scan.document)
 
 
 def _profile_size(placed: PlacedScan, labelling: ScanLabelling) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 import multiprocessing as mp
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -23,8 +24,8 @@ ENVIRONMENT = {
     "MALLOC_TRIM_THRESHOLD_": str(16 << 20),
 }
 """Read by NumPy and the C library at their start: the processes themselves fill the cores, and
-every cloud needs the memory again that the last one freed. What is larger than a cloud is given
-back: with larger thresholds the odometry's memory was kept through the run."""
+every cloud needs the memory again that the last one freed. Larger arrays are given back: otherwise
+the memory of the odometry is kept through the run."""
 
 
 class WorkerLostError(InputError):
@@ -46,7 +47,8 @@ def make_pool(workers: int) -> Iterator[Executor]:
     forkserver.ensure_running()
     pool = ProcessPoolExecutor(workers, context, _start_as_worker)
     try:
-        yield pool
+        with _main_hidden():
+            yield pool
     except BaseException as error:
         pool.shutdown(wait=False, cancel_futures=True)
         if isinstance(error, KeyboardInterrupt | BrokenProcessPool):
@@ -62,6 +64,20 @@ def make_pool(workers: int) -> Iterator[Executor]:
         raise
     finally:
         pool.shutdown()
+
+
+@contextmanager
+def _main_hidden() -> Iterator[None]:
+    """Keep workers from importing the user's script, which would start the run again in each."""
+    main = sys.modules["__main__"]
+    spec, file = main.__spec__, main.__dict__.pop("__file__", None)
+    main.__spec__ = None
+    try:
+        yield
+    finally:
+        main.__spec__ = spec
+        if file is not None:
+            main.__file__ = file
 
 
 class _Serial(Executor):
