@@ -590,8 +590,8 @@ def rooms(
 ) -> None:
     """Segment any grid map into rooms: outlines, areas and passages.
 
-    Writes rooms.geojson, topology.json, rooms.png and rooms.rrd. Pixels above 250 are free; a YAML
-    file has its own thresholds. In a folder, each X.png is compared with its
+    Writes rooms.geojson, rooms.osm (osmAG), topology.json, rooms.png and rooms.rrd. Pixels above
+    250 are free; a YAML file has its own thresholds. In a folder, each X.png is compared with its
     X_gt_segmentation.png. If some maps of a folder fail, the exit code is 2.
 
     Examples:

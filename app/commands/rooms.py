@@ -22,7 +22,8 @@ from ffmap.algorithms.truth.rooms import compare_room_images, rooms_of_image
 from ffmap.app.analysis.figures import OF_ROOMS, Metrics, figures_of_rooms
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.map_files import read_image, read_map
-from ffmap.app.folder.names import METRICS, ROOMS, check_no_run_loses
+from ffmap.app.folder.names import METRICS, ROOMS, ROOMS_OSM, check_no_run_loses
+from ffmap.app.folder.osm_file import write_osm
 from ffmap.app.folder.pictures import write_rooms_picture
 from ffmap.app.folder.room_files import topology, write_rooms
 from ffmap.app.own_command import view_command
@@ -35,7 +36,7 @@ from ffmap.loaders.text_files import read_object
 CELLS_MAX = 8_000_000
 """Maps with more cells around their free space are coarsened: time and memory stay bounded."""
 TOPOLOGY, PICTURE, RECORDING = "topology.json", "rooms.png", "rooms.rrd"
-FILES = (TOPOLOGY, ROOMS, PICTURE, METRICS, RECORDING)
+FILES = (TOPOLOGY, ROOMS, ROOMS_OSM, PICTURE, METRICS, RECORDING)
 TRUTH_SUFFIX = "_gt_segmentation"
 IMAGES = (".png", ".pgm")
 _SHOWN = ("true", "found", "recall", "precision", "split", "merged")
@@ -94,7 +95,7 @@ def rooms(
             f"{split} split, {merged} merged"
         )
     view = view_command(out / RECORDING)
-    typer.echo(f"{out}: rooms.geojson, topology.json, rooms.png; look at it with: {view}")
+    typer.echo(f"{out}: {ROOMS}, {ROOMS_OSM}, {TOPOLOGY}, {PICTURE}; look at it with: {view}")
 
 
 def _segment(
@@ -128,6 +129,7 @@ def _segment(
         # First: its "map" marks the other files as those of this command.
         write_json(out / TOPOLOGY, {"map": str(path.resolve()), **topology(graph)})
         write_rooms(out / ROOMS, graph)
+        write_osm(out / ROOMS_OSM, graph)
         write_rooms_picture(out / PICTURE, coarse, graph)
         if figures is not None:
             write_json(out / METRICS, {f"rooms.{name}": figures[name] for name in _SHOWN})

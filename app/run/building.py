@@ -22,10 +22,12 @@ from ffmap.app.folder.names import (
     DOORS,
     FLOOR_PLAN_DXF,
     FLOOR_PLAN_SVG,
+    ROOMS_OSM,
     WALLS,
     map_file,
     rooms_file,
 )
+from ffmap.app.folder.osm_file import write_osm
 from ffmap.app.folder.pictures import write_floor_plan
 from ffmap.app.folder.plan_dxf import write_dxf
 from ffmap.app.folder.room_files import door_rooms, write_rooms
@@ -131,6 +133,7 @@ def write_maps(run: Run, building: Building, maps: Maps) -> None:
         rooms = {Segmented.FURNITURE_FREE: maps.rooms} | dict(maps.compared_rooms)
         for segmented, graph in rooms.items():
             write_rooms(folder / rooms_file(segmented), graph)
+        write_osm(folder / ROOMS_OSM, maps.rooms)
     if Output.PLAN in outputs:
         write_floor_plan(folder / FLOOR_PLAN_SVG, maps.plan, run.inputs.bag_path.name)
         write_dxf(folder / FLOOR_PLAN_DXF, maps.plan)

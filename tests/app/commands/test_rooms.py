@@ -4,6 +4,7 @@ import json
 import os
 import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -63,6 +64,38 @@ def features(out: Path) -> list[dict]:
     return json.loads((out / "rooms.geojson").read_text())["features"]
 
 
+def room_in_the_middle() -> np.ndarray:
+    """A room of 4.5 × 4.5 m within a corridor around it; its door of 0.9 m is in the lower wall."""
+    pixels = np.full((240, 240), 205, np.uint8)
+    pixels[16:224, 16:224] = 0
+    pixels[20:220, 20:220] = 254
+    pixels[70:170, 70:170] = 0
+    pixels[75:165, 75:165] = 254
+    pixels[165:170, 110:128] = 254
+    return pixels
+
+
+def osm_ways(path: Path) -> list[tuple[dict[str, str], list[tuple[float, float]]]]:
+    """Tags and corners (m) of each way, by what Feng et al. document of osmAG and WGS 84."""
+    file = ElementTree.parse(path).getroot()
+    at = {
+        node.attrib["id"]: (
+            np.deg2rad(float(node.attrib["lon"])) * 6378137.0,
+            np.deg2rad(float(node.attrib["lat"])) * 6378137.0 * (1 - 0.00669437999014),
+        )
+        for node in file.iter("node")
+    }
+    (root,) = (node for node in file.iter("node") if node.find("tag[@v='root']") is not None)
+    assert at[root.attrib["id"]] == (0.0, 0.0)
+    return [
+        (
+            {tag.attrib["k"]: tag.attrib["v"] for tag in way.iter("tag")},
+            [at[nd.attrib["ref"]] for nd in way.iter("nd")],
+        )
+        for way in file.iter("way")
+    ]
+
+
 def assert_one_line(result: tuple[int, str, str], *words: str) -> None:
     code, _, err = result
     assert code == 2
@@ -97,6 +130,30 @@ def test_a_map_of_map_servers_gives_outlines_areas_and_topology_in_its_frame(
     assert passage["width_m"] == pytest.approx(0.9, abs=0.1)
     np.testing.assert_allclose(passage["middle"], [-3 + 5.05, 2 + 3.55], atol=0.15)
     assert not list((tmp_path / "found").glob("*.part"))
+
+
+@pytest.mark.parametrize("drawn", [two_rooms, room_in_the_middle])
+def test_the_area_graph_is_written_for_osmag(ffmap, tmp_path: Path, drawn) -> None:
+    code, _, err = ffmap("rooms", save_map(tmp_path, drawn()), "--out", "found")
+    assert code == 0, err
+    ways = osm_ways(tmp_path / "found" / "rooms.osm")
+    rings = {tags["name"]: ring for tags, ring in ways if tags["osmAG:type"] == "area"}
+    building = shapely.Polygon(rings.pop("building"))
+    rooms = features(tmp_path / "found")
+    assert list(rings) == [room["properties"]["name"] for room in rooms] == ["room 1", "room 2"]
+    for room, ring in zip(rooms, rings.values(), strict=True):
+        assert ring[0] == ring[-1]
+        assert building.buffer(1e-6).covers(shapely.LinearRing(ring))
+        # A doorway is added, and a hole is cut open.
+        assert shapely.Polygon(ring).area == pytest.approx(room["properties"]["area"], abs=0.3)
+        outline = shapely.geometry.shape(room["geometry"]).boundary
+        off_m = shapely.distance(outline, shapely.points(ring))
+        assert np.count_nonzero(off_m > 1e-3) <= 2
+    ((tags, ends),) = (way for way in ways if way[0]["osmAG:type"] == "passage")
+    assert {tags["osmAG:from"], tags["osmAG:to"]} == set(rings)
+    assert shapely.LineString(ends).length == pytest.approx(0.9, abs=0.1)
+    for ring in rings.values():
+        assert set(ends) <= set(ring)
 
 
 def test_rooms_of_another_map_of_the_same_name_are_left_alone(ffmap, tmp_path: Path) -> None:

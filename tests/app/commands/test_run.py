@@ -15,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest import mock
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -168,6 +169,17 @@ def test_rooms_doors_topology_and_recording_agree(finished: Path) -> None:
         others = {name for names in passages for name in names} - {room["name"]}
         assert others == set(room["neighbours"])
     assert any(door["rooms"] for door in doors)
+    osm = ElementTree.parse(finished / "rooms.osm").getroot()
+    nodes_of = {
+        way.find("tag[@k='name']").attrib["v"]: {nd.attrib["ref"] for nd in way.iter("nd")}
+        for way in osm.iter("way")
+    }
+    assert len(nodes_of) == 1 + len(rooms) + len(topology["passages"])
+    for number, passage in enumerate(topology["passages"]):
+        door = passage["door"]
+        ends = nodes_of[f"opening {number}" if door is None else f"door {door}"]
+        assert len(ends) == 2
+        assert all(ends <= nodes_of[room] for room in passage["rooms"])
     paths = {str(chunk.entity_path) for chunk in RrdReader(finished / "recording.rrd").stream()}
     assert {"/world/rooms/floors", "/world/rooms/names", "/rooms/graph"} <= paths
     # Beside them, as in Fig. 10, the rooms of the normal map, with and without alpha removal.
