@@ -144,15 +144,31 @@ def open_part(
             stream.disconnect()
 
 
+@contextmanager
+def open_stdout(
+    application_id: str, recording_id: str | None, layout: rrb.Blueprint
+) -> Iterator[rr.RecordingStream]:
+    """Open a recording that is written to standard output, for the viewer that reads it."""
+    stream = _new_stream(recording_id, send_properties=True, application_id=application_id)
+    stream.stdout()
+    stream.send_blueprint(layout, make_active=True, make_default=True)
+    try:
+        yield stream
+    finally:
+        stream.disconnect()
+
+
 @lru_cache(maxsize=1)
 def _stream(recording_id: str) -> rr.RecordingStream:
     """Return the stream of all parts of this process: each stream leaves megabytes in Rerun."""
     return _new_stream(recording_id, send_properties=False)
 
 
-def _new_stream(recording_id: str, send_properties: bool) -> rr.RecordingStream:
+def _new_stream(
+    recording_id: str | None, send_properties: bool, application_id: str = APPLICATION_ID
+) -> rr.RecordingStream:
     stream = rr.RecordingStream(
-        APPLICATION_ID,
+        application_id,
         recording_id=recording_id,
         send_properties=send_properties,
         # Large chunks: the defaults serve a live viewer, and cost a quarter more time.

@@ -62,9 +62,7 @@ def log_static(
     scans = _GLANCE_MAP if log.detail is Detail.MAP else _GLANCE_SCANS
     log.text("/glance", _with_pointer(_GLANCE_POSES if slope_max is None else scans))
     log.text("/evaluation/help", _EVALUATION_HELP)
-    labels = {"door": "door (leaf)", "clutter": "clutter (furniture)", "outside": "outside (glass)"}
-    classes = list(CLASSES.values())[:6]
-    log_legend(log, "/legend/labels", [(labels.get(name, name), color) for name, color in classes])
+    log_label_legend(log, "/legend/labels")
     log.static("/world/base", rr.TransformAxes3D(0.6))
     for role, T_base_sensor in sensors.items():
         log.static(f"/world/base/{role}", transform(T_base_sensor), rr.TransformAxes3D(0.3))
@@ -86,6 +84,13 @@ def log_own_body(log: Log, role: str, body: OwnBody) -> None:
 def log_warnings(log: Log, warnings: Sequence[str]) -> None:
     """Log the warnings of the whole run."""
     log.text("/warnings", "\n".join(f"- {warning}" for warning in warnings) or "None.")
+
+
+def log_label_legend(log: Log, path: str) -> None:
+    """Log names and colours of the labels."""
+    labels = {"door": "door (leaf)", "clutter": "clutter (furniture)", "outside": "outside (glass)"}
+    classes = list(CLASSES.values())[:6]
+    log_legend(log, path, [(labels.get(name, name), color) for name, color in classes])
 
 
 def log_legend(log: Log, path: str, entries: Sequence[tuple[str, Color]]) -> None:

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from ffmap.algorithms.building.votes import FusedCloud
-from ffmap.app.folder.cloud_file import write_ply
+from ffmap.app.folder.cloud_file import read_ply, write_ply
 
 
 @pytest.mark.parametrize("count", [0, 100])
@@ -22,6 +22,8 @@ def test_it_is_read_by_trimesh_and_by_its_header(tmp_path: Path, count: int) -> 
     assert f"element vertex {count}\n".encode() in header
     assert b"property uchar label" in header
     np.testing.assert_array_equal(np.frombuffer(body, np.uint8).reshape(-1, 16)[:, 12], label)
+    for read, written in zip(read_ply(path), (points, label), strict=True):
+        np.testing.assert_array_equal(read, written)
     if count:
         mesh = trimesh.load(path)
         np.testing.assert_array_equal(mesh.vertices.astype(np.float32), points)
