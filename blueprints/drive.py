@@ -33,7 +33,7 @@ def build(
         entries = 6
         clouds = [f"/world/{name}/**" for name in lidars]
         building = space(
-            "Clouds in the map (ceiling hidden)",
+            "Clouds in the map (its ceiling is hidden)",
             ["/world/building/cloud", *clouds, *ROBOT],
             aslant(*map_view),
         )

@@ -64,7 +64,8 @@ def import_bag(path: Path, application_id: str, recording_id: str | None) -> Non
                 poses = T_map_base, T_map_base @ lidar.T_base_sensor
                 edges = lidar.decoding.rings.edge_tan
                 scan = seen_at_once(scan, known.trajectory, lidar.T_base_sensor, edges)
-            shown = slice(None, None, -(-len(scan) // of_cloud))
+            # An odd step takes returns of all rings: their number is even.
+            shown = slice(None, None, -(-len(scan) // of_cloud) | 1)
             log.at(scan.stamp_ns)
             label = None if label is None else label[shown]
             log_returns(log, names[place], scan.points_sensor[shown], label, poses)

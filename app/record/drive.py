@@ -52,7 +52,7 @@ def open_drive(
 ) -> Iterator[Log]:
     """Open the recording of a bag, and log what does not change.
 
-    ids: of application and recording. glance: Markdown that says what is shown. lidars:
+    ids: of application and recording. glance: explanation in Markdown. lidars:
     T_base_sensor (4, 4) by role, or None where no extrinsics are known.
     """
     names, apart = [*lidars], any(T is None for T in lidars.values())
