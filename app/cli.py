@@ -609,14 +609,31 @@ def rooms(
 
 
 @app.command()
-def settings(config: shared.Config = None, set_: shared.Set = None) -> None:
-    """Print every setting with its value, unit, meaning and paper section, as TOML for --config.
+def settings(
+    name: Annotated[
+        str | None,
+        Argument(metavar="[NAME]", show_default=False, help="Print the settings like this name."),
+    ] = None,
+    every: Annotated[bool, Option("--all", help="Print all settings.")] = False,
+    config: shared.Config = None,
+    set_: shared.Set = None,
+) -> None:
+    """Print the settings that change figures most, as TOML for --config.
 
-    Example: `ffmap settings > mine.toml`
+    Each has its value, meaning, unit, paper section, what it acts on, and when to raise or lower
+    it. Settings of single scans (scan labels) reach the final labels only through the building.
+
+    Examples:
+
+    ```
+    ffmap settings
+    ffmap settings doors
+    ffmap settings --all > mine.toml
+    ```
     """
     from ffmap.app.setup.settings import as_toml, load_settings
 
-    typer.echo(as_toml(load_settings(config, set_ or ())), nl=False)
+    typer.echo(as_toml(load_settings(config, set_ or ()), name, every), nl=False)
 
 
 @app.command()

@@ -27,7 +27,8 @@ class ComparedRun:
     """A run in the layout.
 
     letter: its entities are below it. scans, map_points: whether its recording has single scans,
-    and the growing map. compared: the subjects compared with the first run.
+    and the growing map. compared: the subjects compared with the first run. judged: whether the
+    ground truth shows which labels became right and wrong.
     """
 
     letter: str
@@ -35,6 +36,7 @@ class ComparedRun:
     scans: bool
     map_points: bool
     compared: frozenset[str] = frozenset()
+    judged: bool = False
 
     def path(self, path: str) -> str:
         """Return the path of an entity of the run's recording."""
@@ -80,6 +82,10 @@ def _differences(
     letter, grid = other.letter, f"{entities.GRID}/{first.letter}"
     where: list[Part] = []
     when: list[Part] = []
+    if other.judged:
+        name = f"Became right green, wrong red, {first.letter} → {letter}, by ground truth"
+        judged = [grid, f"/changes/{letter}/became_right", f"/changes/{letter}/became_wrong"]
+        where.append(space(name, judged, above, origin="/"))
     if "labels" in other.compared:
         name = f"Where labels changed, {first.letter} → {letter}, over the map of {first.letter}"
         changed = [grid, f"/changes/{letter}/cubes"]
@@ -87,7 +93,10 @@ def _differences(
         when.append(_changed_points(first, other, above))
         title = "Changed labels, percent of each scan, in the colours of the points"
         when.append(_curve("/changes/{}/percent", other, title, scans))
-        title = "Changed labels of single scans, percent"
+        if other.judged:
+            title = "Became right, wrong, percent"
+            when.append(_curve("/changes/{}/percent_judged", other, title, scans))
+        title = "Changed in single scans, percent"
         when.append(_curve("/changes/{}/percent_of_single_scans", other, title, scans))
     if other.compared & {"walls", "doors", "grid", "trajectory"}:
         name = "Walls, doors, cells: lost red, gained green, altered yellow; lines: trajectories"
@@ -95,7 +104,7 @@ def _differences(
         paths = [f"/paths/{own}" for own in (first.letter, letter)]
         where.append(space(name, [grid, *changed, *paths], above, origin="/"))
     if "trajectory" in other.compared:
-        title = "Distance of poses, metres"
+        title = "Distance of poses, m"
         when.append(_curve("/changes/{}/pose_distance_m", other, title, scans))
     if len(when) > 2:
         when = [*when[:2], rrb.Tabs(*when[2:])]

@@ -5,17 +5,18 @@ Lost walls, doors and cells are in the first result, A, alone; gained ones in th
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ffmap.algorithms.base.labels import NO_RETURN, Label
+from ffmap.algorithms.base.labels import NO_RETURN, Label, Truth, Verdict
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import stretches
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.algorithms.truth.labels import UNLABELLED
+from ffmap.algorithms.truth.labels import UNLABELLED, verdicts
 
 CLASSES = UNLABELLED + 1
 """The labels, and last without a label."""
@@ -23,7 +24,18 @@ CLASS_NAMES = (*(label.name.lower() for label in Label), "no label")
 TRANSITIONS = CLASSES**2
 WALL_M, WALL_DEG = 0.1, 10.0
 """Maximum distance (m) of and angle (°) between wall faces that are the same."""
+SPOT_M = 1.5
+"""Radius (m) of a spot in the map."""
 _STEP_M = 0.05
+_CELL_M = 0.5
+
+
+class Became(IntEnum):
+    """What the ground truth makes of a changed label."""
+
+    RIGHT = 0
+    WRONG = 1
+    NEITHER = 2
 
 
 def transitions(label_a: UInt8Array, label_b: UInt8Array) -> tuple[UInt8Array, UInt8Array]:
@@ -57,6 +69,67 @@ def most_frequent(counts: Sequence[IntArray], most: int) -> list[int]:
     return [int(code) for code in order if total.flat[code] > 0]
 
 
+def judge(truth: UInt8Array, label_a: UInt8Array, label_b: UInt8Array) -> UInt8Array:
+    """Return what became of each label (n,), see `Became`. truth: (n,) see `Truth`."""
+    right_a, right_b = (verdicts(truth, own) == Verdict.RIGHT for own in (label_a, label_b))
+    became = np.where(right_b, np.uint8(Became.RIGHT), np.uint8(Became.WRONG))
+    became[right_a == right_b] = Became.NEITHER
+    return became
+
+
+def count_judged(truth: UInt8Array, became: UInt8Array) -> IntArray:
+    """Count points (11, 2) by their `Truth`, those that became right and wrong."""
+    judged = became != Became.NEITHER
+    joint = truth[judged].astype(np.int64) * 2 + became[judged]
+    return np.bincount(joint, minlength=2 * len(Truth)).reshape(len(Truth), 2)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Place in the map with most of some points.
+
+    x_m, y_m: its centre. share: the part of the points within `SPOT_M` of it.
+    first, last: the scans that hold the middle nine tenths of these.
+    """
+
+    x_m: float
+    y_m: float
+    share: float
+    first: int
+    last: int
+
+
+class SpotFinder:
+    """Counts points of a drive by scan and cell of the map; finds the place with most of them."""
+
+    def __init__(self) -> None:
+        self._rows: list[IntArray] = []
+
+    def add(self, scan: int, points_map: FloatArray) -> None:
+        """Add points (n, 3) of a scan."""
+        cells = np.floor(points_map[:, :2] / _CELL_M).astype(np.int64)
+        places, count = np.unique(cells, axis=0, return_counts=True)
+        self._rows.append(np.column_stack([np.full(len(count), scan), places, count]))
+
+    def find(self) -> Spot | None:
+        """Return the place; None without points."""
+        rows = np.concatenate([np.zeros((0, 4), np.int64), *self._rows])
+        if not len(rows):
+            return None
+        scan, count = rows[:, 0], rows[:, 3]
+        cells, cell = np.unique(rows[:, 1:3], axis=0, return_inverse=True)
+        centre_m = (cells + 0.5) * _CELL_M
+        total = np.bincount(cell, count)
+        near = cKDTree(centre_m).query_ball_point(centre_m, SPOT_M)
+        most = max(near, key=lambda own: float(total[own].sum()))
+        x_m, y_m = np.average(centre_m[most], axis=0, weights=total[most])
+        inside = np.isin(cell, most)
+        in_time = np.sort(np.repeat(scan[inside], count[inside]))
+        first, last = np.quantile(in_time, (0.05, 0.95), method="nearest").tolist()
+        share = float(total[most].sum() / total.sum())
+        return Spot(float(x_m), float(y_m), share, first, last)
+
+
 @dataclass(frozen=True, eq=False)
 class LabelChange:
     """Labels of the s scans that both runs have.
@@ -64,6 +137,9 @@ class LabelChange:
     scan, stamp_ns: (s,). counts: (s, 7, 7) points by their classes in both runs.
     changed_scan: (s,) number of labels of single scans that differ.
     voxels: changed points in the map, by their transitions.
+    judged: (s, 11, 2) points by their `Truth` that became right and wrong; None without it.
+    judged_voxels: such points in the map, by `Became`.
+    spots: where most points became right and wrong, and where most changed.
     """
 
     scan: IntArray
@@ -71,6 +147,9 @@ class LabelChange:
     counts: IntArray
     changed_scan: IntArray
     voxels: VoxelVotes
+    judged: IntArray | None
+    judged_voxels: VoxelVotes
+    spots: tuple[Spot | None, Spot | None, Spot | None]
 
     @property
     def points(self) -> IntArray:

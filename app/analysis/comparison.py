@@ -4,33 +4,31 @@ Everything is a number, an array or text that the terminal, the recording and co
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.labels import Truth
+from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.truth.changes import (
-    CLASSES,
     TRANSITIONS,
+    Became,
     Changes,
-    LabelChange,
     compare_grids,
-    count_transitions,
     most_frequent,
     name_transition,
-    transitions,
     unmatched_walls,
 )
 from ffmap.algorithms.truth.doors import match_doors
 from ffmap.algorithms.truth.poses import compare_trajectories
 from ffmap.app.analysis.figures import Figure, read_figures
-from ffmap.app.analysis.run_labels import read_run_labels, side_by_side
+from ffmap.app.analysis.label_changes import compare_labels
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import ScanLabels
 from ffmap.app.folder.map_files import read_map
@@ -40,8 +38,6 @@ from ffmap.loaders.geojson import read_features, segments
 from ffmap.loaders.text_files import dotted_keys
 from ffmap.loaders.trajectory_file import read_tum
 
-VOXEL_M = 0.1
-"""Edge of the voxels that changed points are shown by in the map."""
 _WIDTH_M = 0.01
 """Widths of doors that differ by less are the same."""
 _ADVICE = "run ffmap again"
@@ -49,6 +45,8 @@ _ADVICE = "run ffmap again"
 CHANGES = {
     "labels.changed": Figure("labels changed"),
     "labels.changed_share": Figure("labels changed", "%"),
+    "labels.became_right": Figure("labels that became right"),
+    "labels.became_wrong": Figure("labels that became wrong"),
     "labels.changed_scan": Figure("labels of single scans changed"),
     "labels.points": Figure("points compared"),
     "labels.scans": Figure("scans compared"),
@@ -186,37 +184,10 @@ def compare_runs(
 
 
 def _compare_labels(change: Change, changed_points: ChangedPoints) -> str | None:
-    a, b = change.a.run, change.b.run
-    # Points are placed for one of the runs alone, which takes longer than reading their labels.
-    bag_a, bag_b = (run.bag_path is not None and run.bag_path.missing is None for run in (a, b))
-    first, second = read_run_labels(a, bag_a), read_run_labels(b, bag_b and not bag_a)
-    voxels = VoxelTable(VOXEL_M, TRANSITIONS)
-    rows: list[tuple[int, int, IntArray, int]] = []
-    only_a = only_b = unlike = 0
-    for in_a, in_b in side_by_side(first, second):
-        if in_a is None or in_b is None:
-            only_a, only_b = only_a + (in_b is None), only_b + (in_a is None)
-            continue
-        (one, points), (other, other_points) = in_a, in_b
-        if len(one.label) != len(other.label):
-            unlike += 1
-            continue
-        counts = count_transitions(one.label, other.label)
-        changed_scan = int(np.count_nonzero(one.label_scan != other.label_scan))
-        rows.append((one.scan, one.stamp_ns, counts, changed_scan))
-        changed = one.label != other.label
-        if points is None:
-            points = other_points
-        if points is None:
-            points = np.full((len(changed), 3), np.nan, np.float32)
-        changed &= np.isfinite(points).all(axis=1)
-        before, after = transitions(one.label[changed], other.label[changed])
-        voxels.add(points[changed], CLASSES * before + after)
-        changed_points(change.b.letter, one, points[changed], before, after)
-    if not rows:
+    letter = change.b.letter
+    labels, skipped = compare_labels(change.a.run, change.b.run, partial(changed_points, letter))
+    if labels is None:
         return "the runs have no cloud in common"
-    scan, stamp_ns, all_counts, all_changed = (np.array(own) for own in zip(*rows, strict=True))
-    labels = LabelChange(scan, stamp_ns, all_counts, all_changed, voxels.votes())
     change.labels = labels
     total, points_total = int(labels.changed.sum()), int(labels.points.sum())
     change.figures |= {
@@ -224,10 +195,8 @@ def _compare_labels(change: Change, changed_points: ChangedPoints) -> str | None
         "labels.changed_share": total / points_total if points_total else float("nan"),
         "labels.changed_scan": int(labels.changed_scan.sum()),
         "labels.points": points_total,
-        "labels.scans": len(rows),
-        "labels.scans_only_a": only_a,
-        "labels.scans_only_b": only_b,
-        "labels.scans_unlike": unlike,
+        "labels.scans": len(labels.scan),
+        **{f"labels.{name}": count for name, count in skipped.items()},
     }
     confusion = labels.counts.sum(axis=0)
     codes = most_frequent([confusion], TRANSITIONS)
@@ -241,6 +210,18 @@ def _compare_labels(change: Change, changed_points: ChangedPoints) -> str | None
         "changed": labels.changed,
         "changed_label_scan": labels.changed_scan,
     }
+    if labels.judged is not None:
+        right, wrong = (labels.judged[:, :, kind] for kind in (Became.RIGHT, Became.WRONG))
+        change.figures["labels.became_right"] = int(right.sum())
+        change.figures["labels.became_wrong"] = int(wrong.sum())
+        per_scan |= {"became_right": right.sum(axis=1), "became_wrong": wrong.sum(axis=1)}
+        change.details["became"] = {
+            truth.name.lower(): {"right": int(right[:, truth].sum()), "wrong": int(own)}
+            for truth in Truth
+            if (own := wrong[:, truth].sum()) or right[:, truth].any()
+        }
+    spots = zip(("became_right", "became_wrong", "changed"), labels.spots, strict=True)
+    change.details["spots"] = {name: asdict(spot) for name, spot in spots if spot is not None}
     values = zip(*(column.tolist() for column in per_scan.values()), strict=True)
     change.details["scans"] = [dict(zip(per_scan, row, strict=True)) for row in values]
     return None

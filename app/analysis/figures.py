@@ -32,17 +32,21 @@ if TYPE_CHECKING:  # `ffmap runs` needs none of the compiled code behind these
 Metrics = dict[str, Any]
 """Content of metrics.json: figures by name, and some details that are lists, dicts or text."""
 
-_UNITS = {
-    "": (1, ",.0f"),
-    "%": (100, ".2f"),
-    "cm": (100, ".2f"),
-    "m": (1, ",.2f"),
-    "m²": (1, ",.2f"),
-    "°": (1, ".3f"),
-    "s": (1, ".1f"),
-    "ms": (1, ".1f"),
+_UNITS: dict[str, tuple[int, str, float | None]] = {
+    "": (1, ",.0f", 0.0),
+    "%": (100, ".2f", 0.001),
+    "cm": (100, ".2f", 0.001),
+    "m": (1, ",.2f", 0.1),
+    "m²": (1, ",.2f", 0.1),
+    "°": (1, ".3f", 0.01),
+    "s": (1, ".1f", None),
+    "ms": (1, ".1f", None),
 }
-"""Units in which figures are shown: factor from the stored value, and format."""
+"""Units in which figures are shown: factor from the stored value, format, and tolerance.
+
+Stored values that differ by the tolerance or less are alike: settings that should not matter, like
+the number of returns in the odometry, change them as much (docs/usage.md).
+"""
 
 
 @dataclass(frozen=True)
@@ -59,9 +63,26 @@ class Figure:
         """Title and unit."""
         return f"{self.title} {self.unit}".strip()
 
+    @property
+    def arrow(self) -> str:
+        """↑ if higher is better, ↓ if lower is better."""
+        return {"higher": "↑", "lower": "↓", "neither": ""}[self.better]
+
+    def gain(self, first: float | None, second: float | None) -> float | None:
+        """Return how much better the second value is, 0 within the tolerance.
+
+        None if either is unknown, if no direction is better, or for times, which depend on caches
+        and on the load of the machine.
+        """
+        tolerance = _UNITS[self.unit][2]
+        if first is None or second is None or self.better == "neither" or tolerance is None:
+            return None
+        gain = second - first if self.better == "higher" else first - second
+        return gain if abs(gain) > tolerance + 1e-9 else 0.0
+
     def text(self, value: float | None) -> str:
         """Format a value in the figure's unit."""
-        factor, form = _UNITS[self.unit]
+        factor, form, _ = _UNITS[self.unit]
         return "–" if value is None or math.isnan(value) else format(factor * value, form)
 
     def difference(self, first: float | None, second: float | None) -> str:
@@ -70,7 +91,7 @@ class Figure:
             return "–"
         if math.isclose(first, second, rel_tol=1e-9):  # sums in another order
             return "="
-        factor, form = _UNITS[self.unit]
+        factor, form, _ = _UNITS[self.unit]
         difference = factor * (second - first)
         text = format(difference, f"+{form}")
         return text if any(digit in text for digit in "123456789") else f"{difference:+.0e}"
@@ -176,11 +197,11 @@ FIGURES: dict[str, Figure] = {
     },
     "doors.true": Figure("true doors"),
     "doors.passed": Figure("true doors passed"),
-    "doors.found_count": Figure("of these found"),
+    "doors.found_count": Figure("doors found", "", "higher"),
     "doors.recall": Figure("doors recall", "%", "higher"),
     "doors.detections": Figure("doors detected"),
-    "doors.invented_count": Figure("of these invented", "", "lower"),
-    "doors.invented": Figure("doors invented", "%", "lower"),
+    "doors.invented_count": Figure("doors invented", "", "lower"),
+    "doors.invented": Figure("share of doors invented", "%", "lower"),
     "doors.width_error_m": Figure("door width error", "cm", "lower"),
     "doors.width_bias_m": Figure("door width bias", "cm"),
     "doors.state_right": Figure("door state right", "%", "higher"),
@@ -204,20 +225,22 @@ FIGURES: dict[str, Figure] = {
 """Every figure by its name."""
 HEADLINES = (
     "wall.f1",
-    "seconds",
-    "ceiling.f1",
+    "doors.found_count",
+    "doors.invented_count",
     "floor.f1",
+    "ceiling.f1",
     "door.f1",
     "clutter.f1",
-    "doors.recall",
-    "doors.invented",
+    "outside_kept",
     "maps.furniture_free.recall",
+    "maps.furniture_free.precision",
     "rooms.furniture_free.recall",
     "trajectory.ate_rmse_m",
+    "seconds",
     "walls",
     "doors",
 )
-"""The figures that are shown by default."""
+"""The figures that are shown by default, the most important one first."""
 _TIMES = {"seconds": "total", "cpu_seconds": "cpu", "labelling_s_per_scan": "labelling_per_scan"}
 """Figures by the names of the times in run.json."""
 WITHOUT_TRUTH = tuple(_TIMES)

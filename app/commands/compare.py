@@ -18,6 +18,7 @@ from ffmap.app.analysis.comparison_tables import (
     print_tables,
     runs_document,
 )
+from ffmap.app.analysis.verdict import describe
 from ffmap.app.commands.inspect import open_viewer
 from ffmap.app.folder.atomic import write_json
 from ffmap.app.folder.finished_run import FinishedRun, open_run
@@ -65,6 +66,8 @@ def compare(paths: Sequence[Path], out: Path | None, scans: bool, spawn: bool, q
     write_json(figures, as_json(comparison))
     if not quiet:
         console = Console(highlight=False)
+        for line in describe(comparison):
+            console.print(line, markup=False)
         for table in print_tables(comparison):
             console.print(table)
         typer.echo(f"figures:   {figures}")
@@ -165,13 +168,18 @@ def _write(
 
 def _layout(comparison: Comparison, scans: bool, numbers: tuple[int, int] | None) -> Any:  # noqa: ANN401 - Rerun's blueprint
     """Lay out the recording. numbers: of the first and the last scan."""
-    compared = {change.b.letter: frozenset(change.compared) for change in comparison.changes}
+    changes = {change.b.letter: change for change in comparison.changes}
     shown = []
     for run in comparison.runs:
         recorded = run.recording is not None
         with_scans = scans and recorded and run.run.has_scans
-        own = compared.get(run.letter, frozenset())
-        shown.append(ComparedRun(run.letter, run.title, with_scans, recorded, own))
+        compared, judged = frozenset[str](), False
+        if (change := changes.get(run.letter)) is not None:
+            compared = frozenset(change.compared)
+            judged = change.labels is not None and change.labels.judged is not None
+        shown.append(
+            ComparedRun(run.letter, run.title, with_scans, recorded, compared, judged)
+        )
     letter, scan = comparison.most_changed
     centre_m, extent_m = view_of(*(run.grid for run in comparison.runs))
     return compare_blueprint.build(shown, centre_m, extent_m, scan, letter, numbers)

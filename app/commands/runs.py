@@ -161,7 +161,7 @@ def _usual_columns(listed: Sequence[ListedRun], sort: str | None) -> list[str]:
         if len({str(run.values.get(name)) for run in listed}) > 1
     ]
     first = [sort] if sort is not None else []
-    names = dict.fromkeys([*first, *HEADLINES[:2], *differing, *HEADLINES])
+    names = dict.fromkeys([*first, "wall.f1", "seconds", *differing, *HEADLINES])
     return [name for name in names if any(name in run.values for run in listed)]
 
 

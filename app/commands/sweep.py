@@ -161,7 +161,7 @@ def _parse(text: str, ranges: bool) -> Parameter:
     # Values as the settings hold them: 1 for a length in metres is 1.0.
     values: list[Any] = [load_settings(None, [f"{name}={p}"]).flat().get(name) for p in parts]
     if None in values:
-        raise InputError(f"--grid {text}: {name!r} is a step; 'ffmap settings' lists all settings")
+        raise InputError(f"--grid {text}: {name!r} is a step; 'ffmap settings --all' lists them")
     if not is_range:
         return Parameter(name, tuple(dict.fromkeys(values)))
     numbers = all(isinstance(value, int | float) for value in values)

@@ -12,6 +12,7 @@ from ffmap.algorithms.maps.grid import GridMap
 from ffmap.algorithms.truth.changes import (
     CLASSES,
     TRANSITIONS,
+    Became,
     Changes,
     LabelChange,
     most_frequent,
@@ -26,7 +27,8 @@ from ffmap.loaders.geojson import segments
 
 _LIFT_M = 0.05
 """Height (m) of what changed above the map, which would hide it."""
-_WHITE = (255, 255, 255)
+_NEUTRAL = (140, 140, 140)
+"""Colour of curves, visible on dark and on light backgrounds."""
 _COLORS = {
     "lost": (240, 70, 70),
     "gained": (60, 220, 120),
@@ -160,7 +162,10 @@ def log_change(
 def _log_labels(
     log: Log, letter: str, labels: LabelChange, colors: Mapping[int, entities.Color]
 ) -> None:
-    """Changed points over the map, and percentages of changed labels over the scans."""
+    """Changed points over the map, and percentages of changed labels over the scans.
+
+    With ground truth, also the points that became right and wrong.
+    """
     radius = ui_radius(2.5)
     log.static(f"/changes/{letter}/points", rr.Points3D.from_fields(radii=radius))
     places, codes = labels.voxels.mean_position.astype(np.float32), labels.voxels.label
@@ -174,9 +179,18 @@ def _log_labels(
         (f"{path}/{rank}", counts[:, code], name_transition(code), color)
         for rank, (code, color) in enumerate(colors.items())
     ]
-    curves.append((f"{path}/all", labels.changed, "all", _WHITE))
+    curves.append((f"{path}/all", labels.changed, "all", _NEUTRAL))
     path = f"/changes/{letter}/percent_of_single_scans"
-    curves.append((f"{path}/all", labels.changed_scan, "label_scan", _WHITE))
+    curves.append((f"{path}/all", labels.changed_scan, "label_scan", _NEUTRAL))
+    if labels.judged is not None:
+        voxels = labels.judged_voxels
+        for kind, color in ((Became.RIGHT, _COLORS["gained"]), (Became.WRONG, _COLORS["lost"])):
+            name = f"became {kind.name.lower()}"
+            places = voxels.mean_position[voxels.label == kind].astype(np.float32)
+            drawn = rr.Points3D(places, colors=color, radii=radius)
+            log.static(f"/changes/{letter}/{name.replace(' ', '_')}", drawn)
+            path = f"/changes/{letter}/percent_judged/{kind.name.lower()}"
+            curves.append((path, labels.judged[:, :, kind].sum(axis=1), name, color))
     for path, values, name, color in curves:
         log.curve_style(path, name, color)
         log.curve(path, indexes, percent * values)
@@ -196,7 +210,7 @@ def _log_poses(
     indexes = times(stamp_ns[known], [scan_of[stamp] for stamp in stamp_ns[known].tolist()])
     path = f"/changes/{letter}/pose_distance_m"
     for name, values, color in (
-        ("in the map", distance_m, _WHITE),
+        ("in the map", distance_m, _NEUTRAL),
         ("aligned", aligned_m, _RUN_COLORS[0]),
     ):
         curve = f"{path}/{name.replace(' ', '_')}"

@@ -52,6 +52,28 @@ from ffmap.algorithms.scan.wall_candidates import WallPlanesSettings
 from ffmap.loaders.errors import InputError, shortened
 from ffmap.loaders.text_files import SETTINGS_LINE_MAX, dotted_keys, read_toml
 
+SCAN_LABELS = "scan labels"
+_ACTS_ON = {
+    "poses": "poses, and so on everything",
+    "base": SCAN_LABELS,
+    "scan": SCAN_LABELS,
+    "building": "final labels and maps",
+    "maps": "maps and rooms",
+}
+"""What the settings of a step act on, by its folder in `algorithms`.
+
+The building is made of the scans' labels and wall planes, and decides on the final labels.
+"""
+MAIN: dict[str, tuple[str, str]] = {
+    "wall_planes.similarity_m": (
+        "uneven walls become clutter",
+        "cupboards in front of walls become wall",
+    ),
+}
+"""The settings that change figures most, with the reasons to raise and to lower them."""
+_HEADING = """\
+# The settings that change figures most. 'ffmap settings NAME' prints those whose names contain NAME,
+# 'ffmap settings --all' all. Scan labels reach the final labels only through the building."""
 Steps = TypeVar("Steps", MethodSettings, FusionSettings, MapsSettings)
 
 
@@ -183,7 +205,7 @@ def _problem(error: ValidationError) -> str:
     return f"setting {name} = {reprlib.repr(value)}: {wrong}; {_LIST}"
 
 
-_LIST = "'ffmap settings' lists them all"
+_LIST = "'ffmap settings --all' lists them all"
 
 
 def _suggestion(name: str) -> str:
@@ -194,7 +216,35 @@ def _suggestion(name: str) -> str:
     if not alike:
         return _LIST
     (best,) = difflib.get_close_matches(name, alike, n=1, cutoff=0.0)
-    return f"did you mean {best!r}? {_LIST}"
+    decides = f"; {deciding} acts on final labels" if (deciding := decides_finally(best)) else ""
+    return f"did you mean {best!r}? It acts on {acts_on(best)}{decides}; {_LIST}"
+
+
+def acts_on(name: str) -> str | None:
+    """Return what a setting acts on, by the folder of its step; None for an unknown setting."""
+    step, _, own = name.partition(".")
+    if name == "seed":
+        return SCAN_LABELS
+    field = Settings.model_fields.get(step)
+    kind = field.annotation if field is not None else None
+    if kind is None or own not in getattr(kind, "model_fields", {}):
+        return None
+    return _ACTS_ON[kind.__module__.split(".")[2]]
+
+
+def decides_finally(name: str) -> str | None:
+    """Return the setting of the building that is the counterpart of a scan's; None without one.
+
+    doors.recess_min_m has building.recess_min_m, wall_planes.distance_m has
+    relabelling.wall_distance_m.
+    """
+    if acts_on(name) != SCAN_LABELS:
+        return None
+    step, _, own = name.partition(".")
+    prefixed = f"{step.partition('_')[0].removesuffix('s')}_{own}"
+    known = Settings().flat()
+    candidates = (f"{of}.{own}" for own in (prefixed, own) for of in ("building", "relabelling"))
+    return next((each for each in candidates if each in known), None)
 
 
 def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value
@@ -205,14 +255,35 @@ def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value
         return text
 
 
-def as_toml(settings: Settings) -> str:
-    """Format the settings as a TOML file, each with its description as a comment."""
-    lines = [f"# {Settings.model_fields['seed'].description}", f"seed = {settings.seed}"]
-    for step, model in settings:
-        if isinstance(model, StepSettings):
-            kind = type(model)
-            lines += ["", f"# {(kind.__doc__ or '').strip().splitlines()[0]}", f"[{step}]"]
-            for name, value in model:
-                description = kind.model_fields[name].description
-                lines += [f"# {description}", f"{name} = {json.dumps(value)}"]
-    return "\n".join(lines) + "\n"
+def as_toml(settings: Settings, name: str | None = None, every: bool = False) -> str:
+    """Format settings as TOML, each with its description and what it acts on.
+
+    By default those of `MAIN` and those that are not at their defaults.
+
+    Args:
+        name: those whose names contain it. every: all.
+
+    Raises InputError if no setting is called like this.
+    """
+    values, usual = settings.flat(), Settings().flat()
+    changed = [own for own, value in values.items() if value != usual[own]]
+    names, lines = list(dict.fromkeys([*MAIN, *changed])), [_HEADING]
+    if name is not None or every:
+        names, lines = [own for own in values if every or (name or "") in own], []
+    if not names:
+        raise InputError(f"no setting {shortened(name or '')!r}; {_suggestion(name or '')}")
+    group = None
+    for own in names:
+        step, _, last = own.rpartition(".")
+        model = type(getattr(settings, step)) if step else Settings
+        acts = f"Acts on {acts_on(own)}."
+        if every and step != group:
+            heading = (model.__doc__ or "").strip().splitlines()[0] if step else "Random numbers."
+            lines += ["", f"# --- {heading} {acts}"]
+        group, description = step, str(model.model_fields[last].description)
+        lines += [f"# {description}"] if every else ["", f"# {description} {acts}"]
+        if own in MAIN:
+            higher, lower = MAIN[own]
+            lines.append(f"# Raise it if {higher}. Lower it if {lower}.")
+        lines.append(f"{own} = {json.dumps(values[own])}")
+    return "\n".join(lines).lstrip("\n") + "\n"
