@@ -113,7 +113,7 @@ def run(
 
     ```
     ffmap run drive.bag
-    ffmap run drive.mcap --out runs/a --set wall_planes.similarity_m=0.04 --spawn
+    ffmap run drive.mcap --out runs/a --set relabelling.wall_distance_m=0.06 --spawn
     ffmap run drive.bag --rig rig.toml --trajectory poses.tum
     ffmap run drive_0.bag drive_1.bag drive_2.bag
     ffmap run drive.bag --vertical /left/points --vertical /right/points
@@ -399,9 +399,10 @@ def compare(
     spawn: shared.Spawn = False,
     quiet: shared.Quiet = False,
 ) -> None:
-    """Compare runs with the first one: labels, poses, walls, doors, map, settings, figures.
+    """Find out which run is better, and where: labels, poses, walls, doors, map, figures.
 
-    Compares all outputs that both runs have, and lists those that cannot be compared.
+    Compares each run with the first one. With ground truth in the bag, the recording shows which
+    labels became right and wrong. Differences within the tolerance of a figure do not count.
 
     Examples:
 
@@ -441,8 +442,8 @@ def sweep(
         list[str] | None,
         Option(
             metavar="NAME=V,V",
-            help="Setting and its values, as in doors.lines_min=2,3; with --random and --optuna "
-            "also a range, as in wall_planes.similarity_m=0.02..0.08; repeatable.",
+            help="Setting and its values, as in relabelling.wall_distance_m=0.02,0.04; with "
+            "--random and --optuna also a range, as in 0.02..0.08; repeatable.",
         ),
     ] = None,
     random: Annotated[
@@ -479,8 +480,8 @@ def sweep(
     Examples:
 
     ```
-    ffmap sweep drive.bag --grid wall_planes.similarity_m=0.03,0.05 --grid doors.lines_min=2,3
-    ffmap sweep a.bag b.bag --grid wall_planes.similarity_m=0.02..0.1 --optuna 30
+    ffmap sweep drive.bag --grid wall_planes.reach_m=0.35,0.8 --grid building.recess_min_m=0.01,0.02
+    ffmap sweep a.bag b.bag --grid relabelling.wall_distance_m=0.02..0.08 --optuna 30
     ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
     ```
     """
@@ -518,13 +519,13 @@ def runs(
 ) -> None:
     """List runs with their figures and the settings in which they differ.
 
-    Columns: settings (wall_planes.similarity_m), figures (wall.f1, doors.recall), counts (walls,
+    Columns: settings (wall_planes.similarity_m), figures (wall.f1, door.f1), counts (walls,
     doors), seconds of run time.
 
     Examples:
 
     ```
-    ffmap runs runs/sweep-drive --where "wall.f1>0.98" --where doors.lines_min=2 --sort seconds
+    ffmap runs runs/sweep-drive --where "wall.f1>0.98" --where seed=2 --sort seconds
     ffmap runs --columns started,wall.f1,door.f1 --sort wall.f1
     ```
     """

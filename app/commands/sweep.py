@@ -36,6 +36,7 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.truth import carries_truth
 
+_EXAMPLE = "relabelling.wall_distance_m=0.02,0.04"
 Combination = Mapping[str, Any]
 """A value for each searched setting, by its dotted name."""
 
@@ -136,12 +137,12 @@ def sweep(
 
 
 def parse_grid(texts: Sequence[str], ranges: bool) -> tuple[Parameter, ...]:
-    """Parse texts like doors.lines_min=2,3 or wall_planes.similarity_m=0.02..0.08.
+    """Parse texts like building.scans_min=2,3 or relabelling.wall_distance_m=0.02..0.08.
 
     ranges: whether a range may be given. Raises InputError that names the wrong text.
     """
     if not texts:
-        raise InputError("--grid: nothing to sweep; give values, as in --grid doors.lines_min=2,3")
+        raise InputError(f"--grid: nothing to sweep; give values, as in --grid {_EXAMPLE}")
     parameters = tuple(_parse(text, ranges) for text in texts)
     names = [parameter.name for parameter in parameters]
     if len(set(names)) < len(names):
@@ -156,7 +157,7 @@ def _parse(text: str, ranges: bool) -> Parameter:
     parts = [part.strip() for part in listed.split(".." if is_range else ",")]
     if not equals or not name or not all(parts):
         raise InputError(
-            f"--grid {text}: write it as step.name=value,value, as in doors.lines_min=2,3"
+            f"--grid {text}: write it as step.name=value,value, as in {_EXAMPLE}"
         )
     # Values as the settings hold them: 1 for a length in metres is 1.0.
     values: list[Any] = [load_settings(None, [f"{name}={p}"]).flat().get(name) for p in parts]

@@ -72,7 +72,7 @@ MAIN: dict[str, tuple[str, str]] = {
 }
 """The settings that change figures most, with the reasons to raise and to lower them."""
 _HEADING = """\
-# The settings that change figures most. 'ffmap settings NAME' prints those whose names contain NAME,
+# The settings that change figures most. 'ffmap settings NAME' prints those with NAME in their name,
 # 'ffmap settings --all' all. Scan labels reach the final labels only through the building."""
 Steps = TypeVar("Steps", MethodSettings, FusionSettings, MapsSettings)
 
@@ -164,7 +164,7 @@ def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
         if not equals or not name:
             raise InputError(
                 f"--set {override}: write it as step.name=value, as in "
-                "wall_planes.similarity_m=0.05"
+                "relabelling.wall_distance_m=0.06"
             )
         *steps, last = name.strip().split(".")
         target = values

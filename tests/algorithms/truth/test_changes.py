@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
-from ffmap.algorithms.base.labels import NO_RETURN
+from ffmap.algorithms.base.labels import NO_RETURN, Label, Truth
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.changes import (
     CLASSES,
+    Became,
+    SpotFinder,
     compare_grids,
+    count_judged,
     count_transitions,
+    judge,
     most_frequent,
     name_transition,
     unmatched_walls,
@@ -34,6 +38,37 @@ def test_labels_are_counted_point_by_point() -> None:
     assert counts[rows[0], columns[0]] >= counts[rows[1], columns[1]] > 0
     assert most_frequent([count_transitions(a, a)], 3) == most_frequent([], 3) == []
     assert name_transition(3 * CLASSES) == "wall → clutter"
+
+
+def test_labels_that_are_not_counted_became_neither_right_nor_wrong() -> None:
+    wall, clutter, floor = Label.WALL, Label.CLUTTER, Label.FLOOR
+    rows = (
+        (Truth.WALL, clutter, wall, Became.RIGHT),
+        (Truth.WALL, wall, NO_RETURN, Became.WRONG),
+        (Truth.WALL, clutter, floor, Became.NEITHER),
+        (Truth.GLASS, clutter, wall, Became.NEITHER),
+        (Truth.BOARD_ON_WALL, clutter, wall, Became.NEITHER),
+        (255, clutter, wall, Became.NEITHER),
+    )
+    truth, a, b, expected = (np.array(own, np.uint8) for own in zip(*rows, strict=True))
+    became = judge(truth, a, b)
+    np.testing.assert_array_equal(became, expected)
+    counts = count_judged(truth, became)
+    assert counts.sum() == 2
+    np.testing.assert_array_equal(counts[Truth.WALL], [1, 1])
+
+
+def test_the_spot_with_most_points_is_found_with_its_scans() -> None:
+    finder = SpotFinder()
+    assert finder.find() is None
+    for scan in range(100):
+        lone = np.array([[-20.0 + 0.4 * scan, 5.0, 1.0]])
+        many = np.array([[3.0, -2.0, 0.5]] * (9 if 40 <= scan < 60 else 0)).reshape(-1, 3)
+        finder.add(scan, np.concatenate([lone, many]))
+    spot = finder.find()
+    assert (spot.x_m, spot.y_m) == pytest.approx((3.0, -2.0), abs=0.3)
+    assert spot.share == pytest.approx(180 / 280)
+    assert (spot.first, spot.last) == pytest.approx((41, 58), abs=1)
 
 
 @pytest.mark.parametrize(("turn_deg", "shift"), [(0.0, (0.0, 0.0)), (40.0, (-30.0, 12.5))])

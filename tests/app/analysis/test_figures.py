@@ -70,6 +70,25 @@ def test_differences(unit: str, first: float | None, second: float, expected: st
     assert Figure("", unit).difference(first, second) == expected
 
 
+@pytest.mark.parametrize(
+    ("name", "first", "second", "expected"),
+    [
+        ("wall.f1", 0.970, 0.975, 0.005),
+        ("wall.f1", 0.970, 0.971, 0.0),
+        ("trajectory.ate_rmse_m", 0.030, 0.028, 0.002),
+        ("doors.invented_count", 1.0, 2.0, -1.0),
+        ("doors.found_count", 1.0, 1.0, 0.0),
+        ("seconds", 10.0, 20.0, None),
+        ("walls", 10.0, 20.0, None),
+        ("wall.f1", None, 0.9, None),
+    ],
+)
+def test_a_difference_within_the_tolerance_is_no_gain(
+    name: str, first: float | None, second: float, expected: float | None
+) -> None:
+    assert FIGURES[name].gain(first, second) == pytest.approx(expected)
+
+
 def test_names_are_found_with_underscores_and_mistakes_corrected() -> None:
     assert find_name("wall_f1", FIGURES, "--sort", "") == "wall.f1"
     assert find_name("maps.middle.recall", FIGURES, "--sort", "") == "maps.middle.recall"

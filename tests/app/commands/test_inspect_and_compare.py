@@ -82,9 +82,10 @@ def compared(
     for word in (
         *(setting.partition("=")[0] for setting in SETTINGS),
         "labels changed",
-        "wall F1 %",
+        "wall F1 % ↑",
     ):
         assert word in done.stdout
+    assert done.stdout.startswith(f"B ({runs['other']}) is worse than A ({runs['usual']}): wall F1 -")
     (out / "stdout.txt").write_text(done.stdout)
     return out
 
@@ -117,6 +118,7 @@ def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str
     changed_points = recorded(compared, f"/changes/{'B'}/points")
     placed = read_run_labels(open_run(runs["usual"]), with_points=True)
     places = {cloud.scan: points for cloud, points in placed}
+    wrong_a, wrong_b = (wrong_by_scan(runs[name]) for name in ("usual", "other"))
     for scan, stamp in enumerate(sorted(a)):
         (label_a, scan_a), (label_b, scan_b) = a[stamp], b[stamp]
         differs, valid = label_a != label_b, (label_a != NO_RETURN) | (label_b != NO_RETURN)
@@ -127,6 +129,8 @@ def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str
             "points": np.count_nonzero(valid),
             "changed": np.count_nonzero(differs),
             "changed_label_scan": np.count_nonzero(scan_a != scan_b),
+            "became_right": np.count_nonzero(wrong_a[scan] & ~wrong_b[scan]),
+            "became_wrong": np.count_nonzero(~wrong_a[scan] & wrong_b[scan]),
         }
         # Which point changed from what to what and where, in the cloud's order.
         values = changed_points[scan]
@@ -140,6 +144,10 @@ def test_exactly_the_labels_that_differ_are_found(compared: Path, runs: dict[str
     assert changes["labels.changed"] == sum(s["changed"] for s in found["scans"]) > 500
     assert changes["labels.changed_scan"] > 1000
     assert sum(found["transitions"].values()) == changes["labels.changed"]
+    for kind in ("right", "wrong"):
+        judged = sum(scan[f"became_{kind}"] for scan in found["scans"])
+        assert judged == sum(counts[kind] for counts in found["became"].values()) > 0
+        assert judged == changes[f"labels.became_{kind}"]
 
 
 def test_what_differs_is_printed_and_in_the_recording(
@@ -225,7 +233,8 @@ def test_the_recording_holds_both_runs_below_their_letters(
                 np.testing.assert_array_equal(row.values[column], below[scan].values[column])
     entity_paths = {chunk.entity_path for chunk in RrdReader(path).stream()}
     assert not [p for p in entity_paths if p.startswith("/scan")]
-    assert f"/changes/{'B'}/cubes" in entity_paths
+    for layer in ("cubes", "became_right", "became_wrong"):
+        assert f"/changes/B/{layer}" in entity_paths
 
 
 def test_a_run_against_its_copy_differs_nowhere(
@@ -237,6 +246,9 @@ def test_a_run_against_its_copy_differs_nowhere(
     monkeypatch.setattr(compare_blueprint, "build", layout)
     found = compare(tmp_path / "out", runs["usual"], copied, runs["other"])
     same, other = found["comparisons"]
+    best, verdict, _ = found["verdict"]
+    assert best.startswith(f"Best: A ({runs['usual']}), B ({copied}); no figure differs")
+    assert verdict.endswith("no figure differs by more than its tolerance. No final label changed.")
     # It opens on what changed most: the third run, not the copy, and there its worst scan.
     worst = max(other["scans"], key=lambda scan: scan["changed"])["scan"]
     assert layout.call_args.args[3:] == (worst, "C", (0, SCANS - 1))

@@ -460,7 +460,9 @@ def test_hints_name_what_helps(finished: Path, tmp_path: Path) -> None:
         (("settings", "--set", "doors=3"), ("'doors' is a group", "doors.recess_min_m")),
         (("settings", "--set", "wall_planes.similarity_m=nan"), ("no finite number",)),
         (("settings", "--set", "wall_plane.similarity_m=1"), ("'wall_planes.similarity_m'",)),
-        (("settings", "--set", "wall_planes.nope=1"), ("wall_planes.nope", "'ffmap settings'")),
+        (("settings", "--set", "wall_planes.nope=1"), ("'ffmap settings --all'",)),
+        (("settings", "--set", "doors.reces_min=1"), ("scan labels; building.recess_min_m acts",)),
+        (("settings", "nope"), ("no setting 'nope'",)),
         (("simulate", bag, "--building", "foo"), ("'foo'", "'office'")),
         (("simulate", bag, "--set", "clutter=7"), ("less than or equal to 1",)),
         (("simulate", bag, "--set", "nope=7"), ("'nope'", "noise_m")),
@@ -514,12 +516,29 @@ def test_info_and_run_say_the_same_of_mistakes(bag: Path, tmp_path: Path) -> Non
 
 
 def test_settings_round_trip(tmp_path: Path) -> None:
-    shown = here("settings", "--set", "doors.recess_min_m=0.03")
-    assert shown.returncode == 0
     file = tmp_path / "mine.toml"
-    file.write_text(shown.stdout)
-    assert here("settings", "--config", file).stdout == shown.stdout
-    assert "recess_min_m = 0.03" in shown.stdout
+    for words in ((), ("--all",)):
+        shown = here("settings", *words, "--set", "doors.recess_min_m=0.03")
+        assert shown.returncode == 0
+        file.write_text(shown.stdout)
+        assert here("settings", *words, "--config", file).stdout == shown.stdout
+        assert "doors.recess_min_m = 0.03" in shown.stdout
+
+
+def test_the_settings_that_matter_are_listed_with_reasons_to_change_them() -> None:
+    shown = here("settings").stdout
+    names = re.findall(r"^(\S+) = ", shown, re.MULTILINE)
+    assert len(names) == 10
+    assert shown.count("# Raise it if ") == shown.count("Lower it if ") == 10
+    found = here("settings", "recess_min_m").stdout
+    assert re.findall(r"^(\S+) = ", found, re.MULTILINE) == [
+        "doors.recess_min_m",
+        "building.recess_min_m",
+    ]
+    assert [re.search(r"Acts on ([\w ]+)", own)[1] for own in found.split("\n\n")] == [
+        "scan labels",
+        "final labels and maps",
+    ]
 
 
 def test_real_lidar_gives_a_trajectory_and_nothing_to_label(tmp_path: Path) -> None:
