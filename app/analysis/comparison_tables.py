@@ -16,10 +16,11 @@ _SCANS_SHOWN = 3
 
 
 def print_tables(comparison: Comparison) -> list[Table]:
-    """Tabulate the main figures, what differs, the settings, and the runs."""
+    """Tabulate the main figures, the differences, settings, and runs; what there is of them."""
     changes = [table for change in comparison.changes for table in _change_tables(change)]
     figures = _figures_table(comparison, HEADLINES)
-    return [figures, *changes, _settings_table(comparison), _runs_table(comparison)]
+    tables = [figures, *changes, _settings_table(comparison), _runs_table(comparison)]
+    return [table for table in tables if table.row_count]
 
 
 def runs_document(comparison: Comparison) -> str:

@@ -54,26 +54,50 @@ def _sentences(change: Change, comparison: Comparison) -> list[str]:
     """The verdict, where labels became right or wrong, and settings without effect."""
     a, b = _name(change.a), _name(change.b)
     if not change.same_bag:
-        return [f"{b} labelled another bag or other topics than {a}: no verdict."]
+        return [f"No verdict: {b} labelled another bag or other topics than {a}."]
     gained = gains(change, comparison)
     differing = [name for name, gain in gained.items() if gain]
     better = gained[differing[0]] > 0 if differing else None
+    settings = _settings(change, comparison)
+    same_labels = change.figures.get("labels.changed") == 0
     if better is not None:
         names = {side: [n for n in differing if (gained[n] > 0) == side] for side in (True, False)}
         texts = {side: _differences(own, change, comparison) for side, own in names.items()}
         word, other = ("better", "worse") if better else ("worse", "better")
         but = f"; {other}: {texts[not better]}" if texts[not better] else ""
         found = [f"{b} is {word} than {a}: {texts[better]}{but}."]
+    elif same_labels:
+        what = f"{', '.join(settings.values())} changed no final label"
+        found = [f"{b} is as good as {a}: {what if settings else 'no final label changed'}."]
     elif gained:
         found = [f"{b} is as good as {a}: no figure differs by more than its tolerance."]
     else:
-        found = [f"{b} and {a} have no common figures against ground truth: no verdict."]
-    if change.labels is not None:
+        judged = change.labels is not None and change.labels.judged is not None
+        hint = "; 'ffmap evaluate RUN' computes them" if judged else ""
+        found = [f"No verdict: {b} and {a} have no common figures against ground truth{hint}."]
+    if change.labels is None:
+        return found
+    if better is not None or not same_labels:
         found += _labels(change.figures, change.labels.spots, better)
-        few = change.figures["labels.changed_share"] < _FEW
-        if not change.figures["labels.changed"] or (few if not gained else better is None):
-            found += _without_effect(change, comparison)
+    if better is None and (gained or change.figures["labels.changed_share"] < _FEW):
+        scans = f"{change.figures['labels.changed_scan']:,} labels of single scans changed"
+        found += [
+            f"{name} acts on scan labels ({scans}); {decides_finally(name) or 'the building'} "
+            "decides on final labels."
+            for name in settings
+            if acts_on(name) == SCAN_LABELS
+        ]
     return found
+
+
+def _settings(change: Change, comparison: Comparison) -> dict[str, str]:
+    """Describe the settings that differ."""
+    a, b = (comparison.runs.index(run) for run in (change.a, change.b))
+    return {
+        name: f"{name} ({values[a]} → {values[b]})"
+        for name, values in comparison.settings.items()
+        if values[a] != values[b] and acts_on(name) is not None
+    }
 
 
 def _differences(names: list[str], change: Change, comparison: Comparison) -> str:
@@ -109,29 +133,6 @@ def _labels(
     place = f"within {SPOT_M:g} m of ({spot.x_m:.1f}, {spot.y_m:.1f})"
     of = f"{100 * spot.share:.0f} % of the labels that {what}"
     return [f"{counts}.", f"{of} lie {place}, in scans {spot.first} to {spot.last}."]
-
-
-def _without_effect(change: Change, comparison: Comparison) -> list[str]:
-    """Name the settings that differ, and those that decide on final labels."""
-    a, b = (comparison.runs.index(run) for run in (change.a, change.b))
-    differing = {
-        name: f"{name} ({values[a]} → {values[b]})"
-        for name, values in comparison.settings.items()
-        if values[a] != values[b] and acts_on(name) is not None
-    }
-    if not differing:
-        return []
-    found = []
-    if not change.figures["labels.changed"]:
-        found.append(f"{', '.join(differing.values())} changed no final label.")
-    for name in differing:
-        if acts_on(name) == SCAN_LABELS:
-            changed = f"{change.figures['labels.changed_scan']:,} labels of single scans changed"
-            decides = decides_finally(name) or "the building"
-            found.append(
-                f"{name} acts on scan labels ({changed}); {decides} decides on final labels."
-            )
-    return found
 
 
 def _name(run: RunToCompare) -> str:

@@ -26,7 +26,7 @@ def make_run(folder: Path, f1: float | None, settings: dict[str, object], second
     }
     (folder / "run.json").write_text(json.dumps(record))
     if f1 is not None:
-        metrics = {"wall.f1": f1, "doors.invented": 1 - f1}
+        metrics = {"wall.f1": f1, "doors.invented": 1 - f1, "floor.f1": 0.9}
         (folder / "metrics.json").write_text(json.dumps(metrics))
     return folder
 
@@ -158,7 +158,7 @@ def test_a_piped_table_is_whole(
     runs_command.runs(folder, [], None, False, None)
     heading = next(line for line in capsys.readouterr().out.splitlines() if "run" in line)
     names = {name.strip() for name in heading.split("┃")}
-    assert {"wall_planes.similarity_m", "wall.f1", "doors.invented"} <= names
+    assert {"wall_planes.similarity_m", "wall.f1", "floor.f1"} <= names
 
 
 def test_the_table_does_not_load_the_method() -> None:
