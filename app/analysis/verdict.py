@@ -79,8 +79,9 @@ def _sentences(change: Change, comparison: Comparison) -> list[str]:
         return found
     if better is not None or not same_labels:
         found += _labels(change.figures, change.labels.spots, better)
-    if better is None and (gained or change.figures["labels.changed_share"] < _FEW):
-        scans = f"{change.figures['labels.changed_scan']:,} labels of single scans changed"
+    in_scans = change.figures["labels.changed_scan"]
+    if better is None and in_scans and (gained or change.figures["labels.changed_share"] < _FEW):
+        scans = f"{in_scans:,} labels of single scans changed"
         found += [
             f"{name} acts on scan labels ({scans}); {decides_finally(name) or 'the building'} "
             "decides on final labels."

@@ -65,12 +65,49 @@ _ACTS_ON = {
 The building is made of the scans' labels and wall planes, and decides on the final labels.
 """
 MAIN: dict[str, tuple[str, str]] = {
+    "scan.range_max_m": (
+        "far walls of large halls are missing",
+        "far returns are errors, as behind glass",
+    ),
+    "smoothing.returns": (
+        "a noisy lidar makes walls rough",
+        "narrow edges are rounded; below 5, nothing is smoothed",
+    ),
+    "rearrangement.floor_height_m": (
+        "an uneven floor becomes clutter",
+        "skirting, cables or low objects become floor",
+    ),
+    "rearrangement.ceiling_distance_m": (
+        "an uneven ceiling becomes clutter",
+        "lamps or ducts become ceiling",
+    ),
     "wall_planes.similarity_m": (
+        "uneven walls are missing",
+        "walls blend with the furniture in front of them",
+    ),
+    "building.length_min_m": (
+        "furniture makes short false walls",
+        "pillars and short walls are missing",
+    ),
+    "building.recess_min_m": (
+        "steps in walls become closed doors",
+        "closed doors that are almost flush with the wall are missing",
+    ),
+    "building.door_width_max_m": (
+        "wide doors are missing",
+        "wide passages or recesses become doors",
+    ),
+    "relabelling.wall_distance_m": (
+        "walls keep a fringe of clutter",
+        "flat objects on walls become wall",
+    ),
+    "foreground.relief_m": (
         "uneven walls become clutter",
-        "cupboards in front of walls become wall",
+        "flat furniture against a wall becomes wall",
     ),
 }
-"""The settings that change figures most, with the reasons to raise and to lower them."""
+"""The settings that changed figures most on simulated drives, with the reasons to raise and to
+lower them."""
 _HEADING = """\
 # The settings that change figures most. 'ffmap settings NAME' prints those with NAME in their name,
 # 'ffmap settings --all' all. Scan labels reach the final labels only through the building."""
