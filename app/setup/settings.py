@@ -69,10 +69,6 @@ MAIN: dict[str, tuple[str, str]] = {
         "far walls of large halls are missing",
         "far returns are errors, as behind glass",
     ),
-    "smoothing.returns": (
-        "a noisy lidar makes walls rough",
-        "narrow edges are rounded; below 5, nothing is smoothed",
-    ),
     "rearrangement.floor_height_m": (
         "an uneven floor becomes clutter",
         "skirting, cables or low objects become floor",
@@ -92,6 +88,10 @@ MAIN: dict[str, tuple[str, str]] = {
     "building.recess_min_m": (
         "steps in walls become closed doors",
         "closed doors that are almost flush with the wall are missing",
+    ),
+    "building.door_width_min_m": (
+        "gaps between furniture become doors",
+        "narrow doors are missing",
     ),
     "building.door_width_max_m": (
         "wide doors are missing",
