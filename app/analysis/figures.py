@@ -164,6 +164,7 @@ def _of_each(
         paper = dict(zip(columns, _PAPER.get(row, ()) if path == "{}" else (), strict=False))
         for name, figure in columns.items():
             title = f"{path.format(row)} {figure.title}{suffix}".replace("_", " ").replace(".", " ")
+            title = title.replace("maps furniture free", "map").replace("furniture free ", "")
             unit = "ms" if row.startswith("milliseconds") else figure.unit
             own = replace(figure, title=title, unit=unit, paper=paper.get(name))
             found[f"{path.format(row)}.{name}"] = own
