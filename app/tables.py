@@ -13,13 +13,17 @@ def make_table(
     headings: Sequence[str],
     rows: Iterable[Iterable[str]],
     left: Collection[int] = (0,),
+    whole: Collection[int] = (),
     **options: Any,  # noqa: ANN401 - Rich's own
 ) -> Table:
-    """Return a table of right-justified columns, except those in `left`. Long cells are folded."""
+    """Return a table of right-justified columns, except those in `left`.
+
+    Long cells are folded, except in the columns `whole`.
+    """
     table = Table(title=title, title_justify="left", **options)
     for number, heading in enumerate(headings):
         justify: JustifyMethod = "left" if number in left else "right"
-        table.add_column(heading, justify=justify, overflow="fold")
+        table.add_column(heading, justify=justify, overflow="fold", no_wrap=number in whole)
     for row in rows:
         table.add_row(*row)
     return table

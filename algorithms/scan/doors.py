@@ -15,6 +15,8 @@ from ffmap.algorithms.scan.wall_planes import WallPlanes
 
 OPEN_DEPTH_M = 0.15  # depth (m) beyond which a door is open
 HEIGHT_MAX_M = 2.6  # maximum height (m) above the floor at which a door begins
+ABOVE_PER_RECESS, ABOVE_MORE_M = 0.5, 0.01
+"""The wall above a door is off its plane by at most half a recess and the plane's own error (m)."""
 EXCEPTIONS_MAX = 0.15  # maximum share of returns on the plane below the start: noise, a handle
 _WALL_DISTANCE_M = 0.05
 """Maximum distance (m) from the plane of the uppermost return of the wall in a line.
@@ -27,6 +29,7 @@ _DEPTH_MAX_M = 0.5
 decide otherwise."""
 _LINTEL_MIN_M = 0.06  # minimum height (m) of the wall above a door
 _POINTS_MIN = 12  # minimum number of returns behind the plane in a line
+RETURNS_MIN = _POINTS_MIN + 3  # minimum number of returns at the plane and behind it in a line
 _GAP_MAX_M = 0.35  # maximum gap (m) between neighbouring lines of an opening
 
 
@@ -80,6 +83,7 @@ class DoorLines:
 
     What condition 2 measured; NaN where it failed earlier:
     depression: uint8, see `Depression`.
+    return_count: number of returns at the plane and behind it.
     recess_m: the largest step back, mean above less mean below, over all splits.
     above_m, below_m: mean distance before the plane above and below the best split.
     on_plane_share: share of the returns below the split that are on the plane.
@@ -94,6 +98,7 @@ class DoorLines:
     state: UInt8Array
     position: FloatArray
     depression: UInt8Array
+    return_count: IntArray
     recess_m: FloatArray
     above_m: FloatArray
     below_m: FloatArray
@@ -117,6 +122,8 @@ class Openings:
     line_count: number of its lines.
     door_line_opening: (D,) the opening of each row of `DoorLines`, -1 for none: its conditions
         failed, or too few neighbours' held.
+    door_line_group: (D,) number of neighbouring lines whose conditions held, itself counted; 0
+        where its own failed.
     """
 
     plane: IntArray
@@ -126,6 +133,7 @@ class Openings:
     state: UInt8Array
     line_count: IntArray
     door_line_opening: IntArray
+    door_line_group: IntArray
 
     def __len__(self) -> int:
         return len(self.plane)
@@ -157,7 +165,7 @@ def find_door_lines(
         planes.offset_m[plane],
         settings.recess_min_m,
     )
-    recess_m, above_m, below_m, on_plane_share, x, y = measured.T
+    return_count, recess_m, above_m, below_m, on_plane_share, x, y = measured.T
     behind = depression == Depression.HELD
     start_height_m = np.where(behind, returns.height_m[start], np.nan)
     depth_m = np.where(behind, -below_m, np.nan)
@@ -174,6 +182,7 @@ def find_door_lines(
         state=state.astype(np.uint8),
         position=np.where(behind[:, None], np.column_stack([x, y]), np.nan),
         depression=depression,
+        return_count=return_count.astype(np.int32),
         recess_m=recess_m,
         above_m=above_m,
         below_m=below_m,
@@ -197,12 +206,13 @@ def _find_depressions(
     its distances best: single returns scatter as much as a closed door is recessed.
 
     Returns the return (D,) at which the depression begins, `Depression` (D,), and what was measured
-    (D, 6): recess, above, below, share on the plane, x and y at which the line passes through it.
+    (D, 7): number of returns, recess, above, below, share on the plane, x and y at which the line
+    passes through it.
     """
     points, height, origin = returns
     start = np.full(len(line), -1, np.int32)
     depression = np.full(len(line), Depression.FEW_RETURNS, np.uint8)
-    measured = np.full((len(line), 6), np.nan)
+    measured = np.full((len(line), 7), np.nan)
     for d in range(len(line)):
         own = order[starts[line[d]] : starts[line[d] + 1]][::-1]  # from the top down
         xyz = points[own]
@@ -212,12 +222,13 @@ def _find_depressions(
         top = on_wall[0] if len(on_wall) else len(own)
         used = top + np.flatnonzero(before[top:] < _BEFORE_M)
         own, xyz, before = own[used], xyz[used], before[used]
-        if len(own) < _POINTS_MIN + 3:  # of the wall above
+        measured[d, 0] = len(own)
+        if len(own) < RETURNS_MIN:
             continue
         # Far returns behind an open door count no more than a closed door's when it is split.
         limited = np.maximum(before, -2.0 * OPEN_DEPTH_M)
         is_lintel = height[own[0]] - height[own] >= _LINTEL_MIN_M
-        split, measured[d, 0] = _best_split(limited, is_lintel, recess_min_m)
+        split, measured[d, 1] = _best_split(limited, is_lintel, recess_min_m)
         depression[d] = Depression.NONE
         if split < 0:
             continue
@@ -226,9 +237,8 @@ def _find_depressions(
         below_m = np.maximum(below, -_DEPTH_MAX_M).mean()
         # A return a quarter of a recess behind the plane is on it.
         on_plane = np.count_nonzero(below > -0.25 * recess_min_m) / len(below)
-        measured[d, 1:4] = np.array([above_m, below_m, on_plane])
-        # The wall above may be off its plane by half a recess and the plane's own error, 1 cm.
-        if abs(above_m) > 0.5 * recess_min_m + 0.01:
+        measured[d, 2:5] = np.array([above_m, below_m, on_plane])
+        if abs(above_m) > ABOVE_PER_RECESS * recess_min_m + ABOVE_MORE_M:
             depression[d] = Depression.ABOVE_OFF_PLANE
         elif below_m > -recess_min_m:
             depression[d] = Depression.SHALLOW
@@ -241,7 +251,7 @@ def _find_depressions(
             t = sensor / np.maximum(sensor - below, 1e-6)
             for axis in range(2):
                 passed = origin[axis] + t * (xyz[split + 1 :, axis] - origin[axis])
-                measured[d, 4 + axis] = passed.mean()
+                measured[d, 5 + axis] = passed.mean()
     return start, depression, measured
 
 
@@ -276,7 +286,11 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
     plane, state = door_lines.plane[chosen], door_lines.state[chosen]
     apart = np.diff(place_m) > _GAP_MAX_M
     breaks = np.flatnonzero((np.diff(plane) != 0) | (np.diff(state) != 0) | apart) + 1
-    groups = [g for g in np.split(np.arange(len(chosen)), breaks) if len(g) >= settings.lines_min]
+    groups = np.split(np.arange(len(chosen)), breaks)
+    door_line_group = np.zeros(len(door_lines.line), np.int32)
+    for group in groups:
+        door_line_group[chosen[group]] = len(group)
+    groups = [group for group in groups if len(group) >= settings.lines_min]
     door_line_opening = np.full(len(door_lines.line), -1, np.int32)
     for opening, group in enumerate(groups):
         door_line_opening[chosen[group]] = opening
@@ -293,4 +307,5 @@ def find_openings(door_lines: DoorLines, planes: WallPlanes, settings: DoorsSett
         state=state[first],
         line_count=np.array([len(g) for g in groups], np.int32),
         door_line_opening=door_line_opening,
+        door_line_group=door_line_group,
     )

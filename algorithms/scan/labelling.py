@@ -34,7 +34,7 @@ from ffmap.algorithms.scan.vertical_structures import (
 from ffmap.algorithms.scan.wall_candidates import WallPlanesSettings
 from ffmap.algorithms.scan.wall_planes import WallPlanes, grow_wall_planes
 
-_CEILING_LOWEST_M = 1.0  # minimum height (m) above the floor of a ceiling's return
+CEILING_LOWEST_M = 1.0  # minimum height (m) above the floor of a ceiling's return
 _STRAY_MAX = 2  # returns of a ceiling in a line that ends just below it: they scatter into it
 _EDGE_M = 0.01  # an edge's return is wall unless floor or ceiling is nearer by more than this (m)
 _END_MARGIN_M = 0.15  # length (m) of a wall plane beyond its outermost lines
@@ -110,10 +110,7 @@ def label_scan(
     returns = Returns(placed.points_level, height_m, origin_level)
     ceilings = find_ceilings(placed.points_level, height_m, floor, rearrangement, seed)
     below_m = below_ceiling(placed.points_level, plane_rows(ceilings))
-    is_ceiling = np.abs(below_m) < rearrangement.ceiling_distance_m
-    is_ceiling &= height_m > _CEILING_LOWEST_M
-    label = np.where(is_ceiling, np.uint8(Label.CEILING), np.uint8(Label.CLUTTER))
-    label[np.abs(height_m) < rearrangement.floor_height_m] = Label.FLOOR
+    label = label_horizontal(height_m, below_m, rearrangement)
     lines = make_point_lines(scan, placed.down_sensor, label != Label.CLUTTER, column_pairs)
     # III.B: vertical structures, wall candidates, wall planes.
     structures = find_vertical_structures(returns, lines.samples, settings.vertical_structures)
@@ -130,7 +127,7 @@ def label_scan(
         label,
         planes.normal,
         planes.offset_m,
-        _completed_ends(planes),
+        completed_ends(planes),
         settings.wall_planes.distance_m,
     )
     _label_closed_doors(returns, planes, openings, label, plane)
@@ -150,7 +147,18 @@ def label_scan(
     )
 
 
-def _completed_ends(planes: WallPlanes) -> FloatArray:
+def label_horizontal(
+    height_m: FloatArray, below_m: FloatArray, settings: RearrangementSettings
+) -> UInt8Array:
+    """Label floor and ceiling (n,), all else clutter; parameters as of `ScanLabelling`."""
+    is_ceiling = np.abs(below_m) < settings.ceiling_distance_m
+    is_ceiling &= height_m > CEILING_LOWEST_M
+    label = np.where(is_ceiling, np.uint8(Label.CEILING), np.uint8(Label.CLUTTER))
+    label[np.abs(height_m) < settings.floor_height_m] = Label.FLOOR
+    return label
+
+
+def completed_ends(planes: WallPlanes) -> FloatArray:
     """(K, 2) both ends along each plane, with a margin, and completed to corners with others."""
     normal, offset_m = planes.normal, planes.offset_m
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)

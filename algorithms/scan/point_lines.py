@@ -39,6 +39,10 @@ class PointLines:
     def __len__(self) -> int:
         return len(self.samples)
 
+    def of(self, line: int) -> IntArray:
+        """(k,) the returns of a line, from below upwards."""
+        return self.order[self.starts[line] : self.starts[line + 1]]
+
     def count(self, chosen: BoolArray) -> IntArray:
         """(2n,) number of chosen returns in each line; chosen: (r,) of the scan."""
         return np.diff(np.concatenate([[0], np.cumsum(chosen[self.order])])[self.starts])

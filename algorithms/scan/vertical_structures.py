@@ -47,6 +47,7 @@ class VerticalStructures:
     bottom_m, top_m: (S,) float32, heights above the floor of its lowest and highest sample.
     upmost, bottommost: (L,) int32, each line's highest and lowest structure, -1 where it has none.
         The up-most is the wall candidate, the bottom-most is evidence (Fig. 6).
+    longest: (L,) int32, samples in the longest run of each line, 0 without any.
     """
 
     difference: FloatArray
@@ -59,6 +60,7 @@ class VerticalStructures:
     top_m: FloatArray
     upmost: IntArray
     bottommost: IntArray
+    longest: IntArray
 
 
 def find_vertical_structures(
@@ -78,7 +80,10 @@ def find_vertical_structures(
     joined[:, 1:-1] = upright[:, 1:] & upright[:, :-1] & ~cut[:, 1:]
     lines, starts = np.nonzero(upright & ~joined[:, :-1])
     _, stops = np.nonzero(upright & ~joined[:, 1:])
-    long = stops - starts + 1 >= settings.points_min
+    counts = stops - starts + 1
+    longest = np.zeros(len(samples), np.int32)
+    np.maximum.at(longest, lines, counts.astype(np.int32))
+    long = counts >= settings.points_min
     line, first, last = (run[long].astype(np.int32) for run in (lines, starts, stops))
     upmost, bottommost = np.full((2, len(samples)), -1, np.int32)
     structures = np.arange(len(line), dtype=np.int32)
@@ -95,6 +100,7 @@ def find_vertical_structures(
         top_m=returns.height_m[samples[line, last]].astype(np.float32),
         upmost=upmost,
         bottommost=bottommost,
+        longest=longest,
     )
 
 

@@ -34,18 +34,6 @@ class Growth(IntEnum):
     REFUSED = 3  # it does not reach the ceiling and was left out
 
 
-class Membership(IntEnum):
-    """Whether a candidate is in a wall plane in the end, or why it is not."""
-
-    IN_PLANE = 0
-    REFUSED = 1  # it does not reach the ceiling
-    ALONE = 2  # no plane of enough lines is similar and near
-    FEW_LINES = 3  # its plane has too few lines, once each candidate is in the nearest plane
-    SHORT = 4  # its plane is too short
-    ROUGH = 5  # its plane's samples are too far from it
-    DUCT = 6  # its plane ends high above the floor in all of its lines
-
-
 @dataclass(frozen=True)
 class WallPlanes:
     """The wall planes (K,) of a scan, all upright: normal · (x, y) = offset_m in the level frame.
@@ -65,8 +53,10 @@ class WallPlanes:
     candidate_grown: number of the plane that Algorithm 1 grew it into, -1 where it was refused.
     candidate_nearest_m: Θ to the nearest plane within reach, once planes in line were joined; NaN
         where there was none.
+    candidate_settled: (C, 4) of the plane that it moved to: number of lines, length, RMS, and
+        height of its lowest lower edge; NaN where none is near enough. They decide whether
+        that plane is a wall.
     candidate_plane: its plane in the end, -1 where it is in none.
-    candidate_membership: uint8, see `Membership`.
     """
 
     normal: FloatArray
@@ -85,7 +75,7 @@ class WallPlanes:
     candidate_gap_m: FloatArray
     candidate_grown: IntArray
     candidate_nearest_m: FloatArray
-    candidate_membership: UInt8Array
+    candidate_settled: FloatArray
 
     def __len__(self) -> int:
         return len(self.normal)
@@ -117,20 +107,19 @@ def grow_wall_planes(
     normal, offset_m, rms_m, length_m = fits[:, :2], fits[:, 2], fits[:, 3], fits[:, 5] - fits[:, 4]
     bottom_m = _per_plane(np.minimum, structures.bottom_m[candidates.structure], plane, count)
     top_m = _per_plane(np.maximum, structures.top_m[candidates.structure], plane, count)
-    fails = [lines < lines_min, length_m < LENGTH_MIN_M, rms_m > settings.similarity_m]
-    reasons = [Membership.FEW_LINES, Membership.SHORT, Membership.ROUGH]
-    verdict = np.select(fails, reasons, Membership.IN_PLANE)
-    for k in np.flatnonzero((verdict == Membership.IN_PLANE) & (bottom_m >= BOTTOM_MAX_M)):
+    is_wall = (lines >= lines_min) & (length_m >= LENGTH_MIN_M) & (rms_m <= settings.similarity_m)
+    lowest_m = bottom_m.copy()
+    for k in np.flatnonzero(is_wall & (bottom_m >= BOTTOM_MAX_M)):
         own = candidates.structure[plane == k]
         behind = _structures_behind(returns, samples, structures, own, fits[k], settings)
         lowest = behind if len(behind) >= lines_min else own
-        if structures.bottom_m[lowest].min() >= BOTTOM_MAX_M:
-            verdict[k] = Membership.DUCT
+        lowest_m[k] = structures.bottom_m[lowest].min()
+    is_wall &= lowest_m < BOTTOM_MAX_M
+    settled = np.column_stack([lines, length_m, rms_m, lowest_m])
+    settled[lines < lines_min, 1:] = np.nan
+    settled = np.vstack([settled, np.full(4, np.nan)])[plane]
 
     # The walls, numbered without the others; none, -1, is the last row of the appended arrays.
-    is_wall = verdict == Membership.IN_PLANE
-    membership = np.append(verdict, Membership.ALONE)[plane]
-    membership[candidates.reach == Reach.LOW] = Membership.REFUSED
     plane = np.append(np.where(is_wall, np.cumsum(is_wall) - 1, -1), -1)[plane].astype(np.int32)
     before_m = normal @ returns.origin_level[:2] - offset_m
     towards_sensor = np.where(before_m > 0, 1.0, -1.0)[is_wall]
@@ -152,7 +141,7 @@ def grow_wall_planes(
         candidate_gap_m=gap_m,
         candidate_grown=grown,
         candidate_nearest_m=nearest_m,
-        candidate_membership=membership.astype(np.uint8),
+        candidate_settled=settled,
     )
 
 

@@ -1,27 +1,34 @@
 """One scan of a finished run, labelled again with all evidence, and its errors."""
 
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.base.labels import NO_RETURN, Verdict
-from ffmap.algorithms.base.scan import BoolArray, Scan, UInt8Array
-from ffmap.algorithms.building.label_reasons import REASONS
+from ffmap.algorithms.base.labels import NO_RETURN, Label, Verdict
+from ffmap.algorithms.base.scan import BoolArray, IntArray, Scan, UInt8Array
+from ffmap.algorithms.building.label_reasons import FACE_COMPARISONS, REASONS, SETTINGS, Reason
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import PointLines
+from ffmap.algorithms.truth.labels import verdicts
 from ffmap.app.analysis.run_labels import read_run_labels
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import read_labels
-from ffmap.app.folder.names import EVALUATION, LABELS
-from ffmap.app.record.errors import VERDICT_COLORS
-from ffmap.app.record.inspection import ScanFaults
+from ffmap.app.folder.names import EVALUATION, LABELS, METRICS
+from ffmap.app.record.conditions import Condition, centimetres, setting_of
+from ffmap.app.record.inspection import TRUE_CLASSES, ScanFaults
 from ffmap.app.record.line_reasons import name_of
 from ffmap.app.record.read_back import rows
+from ffmap.app.record.return_reasons import ALL
 from ffmap.app.run.blocks import Block, label_alone, usable
 from ffmap.app.run.given_poses import given_poses
 from ffmap.app.run.poses import estimate_poses
 from ffmap.app.setup.inputs import Inputs
+from ffmap.app.setup.settings import Settings
 from ffmap.app.setup.versions import git_revision
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
@@ -31,8 +38,13 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_scans
+from ffmap.loaders.text_files import read_object
+from ffmap.loaders.truth import TruthClasses, read_truth
 
-CHANGE_HEADINGS = "returns", "wrong", "by the scan", "final", "reason", "to the nearest face"
+CHANGE_HEADINGS = (
+    *("returns", "wrong", "by the scan → final", "reason", "to the nearest face"),
+    *("setting", "turns at"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +53,22 @@ class InspectedScan:
 
     lidar: a sentence on which of several lidars it is from; None if there is one.
     differing: number of returns with another `label_scan` in the run; None if unknown.
+    final: (n,) final label of each return; None if unknown.
+    truth: (n,) true class of each return; None if unknown.
     faults: of its final labels; None if unknown.
     changes: of its labels by the building as rows under `CHANGE_HEADINGS`, most frequent first.
+    why_changed: (n,) half a line on each change, "" without one; None if not recorded.
     """
 
     level: LevelledScan
     labelling: ScanLabelling
     lidar: str | None
     differing: int | None
+    final: UInt8Array | None
+    truth: UInt8Array | None
     faults: ScanFaults | None
     changes: list[tuple[str, ...]]
+    why_changed: list[str] | None
 
 
 def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> InspectedScan:
@@ -82,15 +100,26 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         raise _skipped(number, failed.reason) from error
     scan, level, labelling = alone.scan, alone.level, alone.labelling
     final, differing = _recorded_labels(run, number, scan, labelling.label)
-    faults, changed_wrongly = None, None
+    truth = _true_classes(run, inputs.bag_path, lidar.frame_id, scan.stamp_ns, scan.cloud_size)
+    truth = truth[scan.cloud_index] if truth is not None else None
+    faults, why_changed = None, None
+    changes: list[tuple[str, ...]] = []
     if final is not None:
-        changed, wrong = final != labelling.label, _wrong(run, number, len(scan))
+        changed = final != labelling.label
+        wrong = verdicts(truth, final) != Verdict.RIGHT if truth is not None else None
         faults = _find_faults(changed, wrong)
-        changed_wrongly = wrong[changed] if wrong is not None else None
-    changes = _changes(run, number, changed_wrongly)
+        recorded = _recorded_changes(run, number, int(np.count_nonzero(changed)))
+        if recorded is not None:
+            changes = _change_rows(recorded, None if wrong is None else wrong[changed], settings)
+            why_changed = [""] * len(final)
+            reasons = recorded[entities.POINT_REASON].tolist()
+            for i, reason in zip(np.flatnonzero(changed).tolist(), reasons, strict=True):
+                why_changed[i] = REASONS[reason]
     several = len(inputs.verticals) > 1
     which = f"Scan {number} is cloud {cloud} of {lidar.topic}." if several else None
-    return InspectedScan(level, labelling, which, differing, faults, changes)
+    return InspectedScan(
+        level, labelling, which, differing, final, truth, faults, changes, why_changed
+    )
 
 
 def _find_inputs(run: FinishedRun, bag: BagPath | None) -> tuple[Inputs, str]:
@@ -132,28 +161,72 @@ def _recorded_labels(
     return final[scan.cloud_index], int(np.count_nonzero(own != label_scan))
 
 
-def find_worst(run: FinishedRun) -> tuple[int, str]:
+def find_worst(run: FinishedRun, bag: BagPath | None = None) -> tuple[int, str]:
     """Return the scan with most errors, or without ground truth most changed labels, and why.
 
+    bag: where the run's bag is now; None for where it was.
     Raises InputError if the run has neither.
     """
-    percent: dict[int, float] = {}
     why = "of its points have a wrong final label (`label`), by ground truth"
-    errors = run.file(EVALUATION)
-    if errors is not None:
-        for row in rows(errors, "/metrics/errors/**", "scalars"):
-            percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
+    percent = _recorded_errors(run)
     if not percent:
-        why = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
-        for cloud, _ in read_run_labels(run):
-            own = cloud.label_scan != NO_RETURN
-            if own.any():
-                changed = (cloud.label != cloud.label_scan)[own]
-                percent[cloud.scan] = 100 * float(np.mean(changed))
+        percent, by_truth = _count_errors(run, bag or run.bag_path)
+        if not by_truth:
+            why = "of its final labels (`label`) are not those of the scan alone (`label_scan`)"
     if not percent:
         raise InputError(f"{run.path}: has no labels of single scans. Name a scan, as in --scan 17")
     worst = max(percent, key=lambda scan: (percent[scan], -scan))
     return worst, f"{percent[worst]:.1f} % {why}"
+
+
+def _recorded_errors(run: FinishedRun) -> dict[int, float]:
+    """Read the percentage of wrong labels of each scan; empty if it was not recorded."""
+    percent: dict[int, float] = {}
+    errors = run.file(EVALUATION)
+    if errors is not None:
+        for row in rows(errors, "/metrics/errors/**", "scalars"):
+            percent[row.scan] = percent.get(row.scan, 0.0) + float(row.values["scalars"][0])
+    return percent
+
+
+def _count_errors(run: FinishedRun, bag: BagPath | None) -> tuple[dict[int, float], bool]:
+    """Count the percentage of wrong labels of each scan, or else of changed ones; whether wrong."""
+    wrong: dict[int, float] = {}
+    changed: dict[int, float] = {}
+    frames = {lidar.topic: lidar.frame or "" for lidar in run.record.rig.values()}
+    with nullcontext() if bag is None else _open_classes(run, bag) as classes_at:
+        for cloud, _ in read_run_labels(run):
+            own = cloud.label_scan != NO_RETURN
+            if not own.any():
+                continue
+            changed[cloud.scan] = 100 * float(np.mean((cloud.label != cloud.label_scan)[own]))
+            if classes_at is not None:
+                truth = classes_at(frames.get(cloud.topic, ""), cloud.stamp_ns, len(own))
+                if truth is not None:
+                    is_wrong = verdicts(truth, cloud.label)[own] != Verdict.RIGHT
+                    wrong[cloud.scan] = 100 * float(np.mean(is_wrong))
+    return (wrong, True) if wrong else (changed, False)
+
+
+def label_counts(
+    inspected: InspectedScan, chosen: IntArray | slice = ALL
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return headings and rows of a table: true class, if known, label, and number of returns."""
+    final, truth = inspected.final, inspected.truth
+    heading = "final label" if final is not None else "label by the scan"
+    label = (final if final is not None else inspected.labelling.label)[chosen]
+    if truth is None:
+        codes, counts = np.unique(label, return_counts=True)
+        listed = sorted(zip(counts.tolist(), codes.tolist(), strict=True), reverse=True)
+        return (heading, "returns"), [(entities.CLASSES[k][0], f"{n:,}") for n, k in listed]
+    pairs, counts = np.unique(np.stack([truth[chosen], label]), axis=1, return_counts=True)
+    wrong = verdicts(*pairs) != Verdict.RIGHT
+    found: list[tuple[str, ...]] = []
+    for k in np.argsort(-counts, kind="stable"):
+        own, name = pairs[:, k].tolist(), "wrong" if wrong[k] else ""
+        true_class = TRUE_CLASSES.get(own[0], "unknown")
+        found.append((true_class, entities.CLASSES[own[1]][0], f"{counts[k]:,}", name))
+    return ("true class", heading, "returns", ""), found
 
 
 def agreement(run: FinishedRun, inspected: InspectedScan) -> str:
@@ -172,7 +245,10 @@ def agreement(run: FinishedRun, inspected: InspectedScan) -> str:
 
 
 def _find_faults(changed: BoolArray, wrong: BoolArray | None) -> ScanFaults:
-    """Return the fault of each return. changed: (n,) by the building. wrong: see `_wrong`."""
+    """Return the fault of each return (n,).
+
+    changed: (n,) by the building. wrong: (n,) by ground truth; None if it is not known.
+    """
     if wrong is None:
         fault = np.where(changed, Fault.RELABELLED, Fault.NONE)
     else:
@@ -181,52 +257,108 @@ def _find_faults(changed: BoolArray, wrong: BoolArray | None) -> ScanFaults:
     return ScanFaults(fault.astype(np.uint8), by_truth=wrong is not None)
 
 
-def _changes(run: FinishedRun, number: int, wrong: BoolArray | None) -> list[tuple[str, ...]]:
-    """Read the changes of a scan's labels from the recording; see `InspectedScan`.
+def _recorded_changes(run: FinishedRun, number: int, count: int) -> dict[str, Any] | None:
+    """Read the changes of a scan's labels by the building; None if they were not recorded.
+
+    count: number of changed labels; a recording with another one is of other labels.
+    """
+    if run.recording is None:
+        return None
+    found = rows(run.recording, entities.RELABELLED, entities.POINT_REASON)
+    values = next((row.values for row in found if row.scan == number), None)
+    return values if values is not None and len(values["class_ids"]) == count else None
+
+
+def _change_rows(
+    values: Mapping[str, Any], wrong: BoolArray | None, settings: Settings
+) -> list[tuple[str, ...]]:
+    """Tabulate recorded changes; see `InspectedScan`.
 
     wrong: (c,) whether each changed label is wrong; None if unknown.
     """
-    if run.recording is None:
-        return []
-    found = rows(run.recording, entities.RELABELLED, entities.POINT_REASON)
-    values = next((row.values for row in found if row.scan == number), None)
-    if values is None:
-        return []
     names = entities.POINT_LABEL_SCAN, "class_ids", entities.POINT_REASON
     codes = np.column_stack([values[name] for name in names])
     off_face_m = values[entities.POINT_OFF_FACE].astype(np.float64)
-    if wrong is not None and len(wrong) != len(codes):
-        wrong = None  # the recording is of other labels
     kinds, kind, counts = np.unique(codes, axis=0, return_inverse=True, return_counts=True)
     changes: list[tuple[str, ...]] = []
     for k in np.argsort(-counts, kind="stable"):
         own = kind.ravel() == k
         before, after, reason = kinds[k].tolist()
-        median_m = float(np.median(off_face_m[own]))
+        median_m = float(np.sort(off_face_m[own])[np.count_nonzero(own) // 2])
+        setting, turns_at = _deciding(reason, before, median_m, settings)
         changes.append(
             (
                 f"{counts[k]:,}",
                 "–" if wrong is None else f"{np.count_nonzero(wrong[own]):,}",
-                entities.CLASSES[before][0],
-                entities.CLASSES[after][0],
+                f"{entities.CLASSES[before][0]} → {entities.CLASSES[after][0]}",
                 REASONS[reason],
-                f"{100 * median_m:.1f} cm" if np.isfinite(median_m) else "–",
+                centimetres(median_m) if np.isfinite(median_m) else "–",
+                setting,
+                turns_at,
             )
         )
     return changes
 
 
-def _wrong(run: FinishedRun, number: int, count: int) -> BoolArray | None:
-    """Return whether each final label (count,) is wrong; None if the scan was not evaluated."""
-    errors = run.file(EVALUATION)
-    if errors is None:
-        return None
-    right = VERDICT_COLORS[Verdict.RIGHT]
-    for row in rows(errors, entities.POINTS, entities.POINT_VERDICT_COLOR):
-        if row.scan == number:
-            wrong = np.asarray(row.values[entities.POINT_VERDICT_COLOR] != right)
-            return wrong if len(wrong) == count else None
-    return None
+def _deciding(reason: int, before: int, off_face_m: float, settings: Settings) -> tuple[str, str]:
+    """Return the setting that decides on a change, and the value at which the median one turns."""
+    name, comparison = SETTINGS.get(reason), FACE_COMPARISONS.get(reason)
+    if reason == Reason.NO_FACE and before == Label.DOOR:
+        name, comparison = SETTINGS[Reason.ON_FACE], "≥"
+    if name is None:
+        return "–", "–"
+    setting = setting_of(settings, name)
+    if comparison is None or not np.isfinite(off_face_m):
+        return setting.assignment, "–"
+    condition = Condition(REASONS[reason], off_face_m, comparison, setting.value, "m", setting)
+    return setting.assignment, condition.turning_text
+
+
+def _true_classes(
+    run: FinishedRun, bag: BagPath, frame: str, stamp_ns: int, size: int
+) -> UInt8Array | None:
+    """Return the true class of each place of a cloud (size,); None if unknown.
+
+    frame: of the cloud's lidar.
+    """
+    with _open_classes(run, bag) as classes_at:
+        return classes_at(frame, stamp_ns, size) if classes_at is not None else None
+
+
+ClassesAt = Callable[[str, int, int], UInt8Array | None]
+"""Returns the true classes of the cloud of a frame, a stamp and a size; None if unknown."""
+
+
+@contextmanager
+def _open_classes(run: FinishedRun, bag: BagPath) -> Iterator[ClassesAt | None]:
+    """Open the ground truth that a run was evaluated with, or that of its bag; None without any.
+
+    The bag, because a run without a recording of single scans has no errors of single scans.
+    """
+    paths = [bag]
+    if (metrics := run.file(METRICS)) is not None:
+        named = str(read_object(metrics, "'ffmap evaluate' makes it again").get("truth", bag))
+        paths.insert(0, BagPath((Path(named),)))
+    with ExitStack() as stack:
+        truth = None
+        for path in paths:
+            # A file of true poses is no bag, and the name of several parts is no path.
+            with suppress(InputError):
+                opened = stack.enter_context(open_bag(path))
+                truth = read_truth(opened)
+            if truth is not None and truth.classes:
+                break
+        else:
+            yield None
+            return
+        by_frame = {name: TruthClasses(opened, own) for name, own in truth.classes.items()}
+
+        def classes_at(frame: str, stamp_ns: int, size: int) -> UInt8Array | None:
+            own = by_frame.get(frame)
+            found = own.at(stamp_ns, size) if own is not None else None
+            return found if found is not None and len(found) == size else None
+
+        yield classes_at
 
 
 def faults_in_words(faults: ScanFaults | None, lines: PointLines) -> str:

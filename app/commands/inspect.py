@@ -2,7 +2,7 @@
 
 import re
 import uuid
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import typer
@@ -10,29 +10,35 @@ from rich.console import Console
 
 from ffmap.app.analysis.inspection import (
     CHANGE_HEADINGS,
+    InspectedScan,
     agreement,
     faults_in_words,
     find_worst,
     label_again,
+    label_counts,
 )
 from ffmap.app.folder.finished_run import FinishedRun, open_run
 from ffmap.app.folder.names import check_no_run_loses, require_writable
+from ffmap.app.record.conditions import HEADINGS, NOTE
 from ffmap.app.record.inspection import ExplainedScan, write
 from ffmap.app.record.line_reasons import (
-    CONDITION_HEADINGS,
-    condition_rows,
+    LineReason,
+    count_outcomes,
     explain_lines,
     name_of,
     scan_document,
 )
+from ffmap.app.record.return_reasons import SURFACE_HEADINGS, ReturnReasons
 from ffmap.app.record.stream import start_viewer
+from ffmap.app.record.tables import table
 from ffmap.app.tables import make_table
 from ffmap.blueprints.entities import LINE_OUTCOMES
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 WORST = "worst"
-_MARKDOWN = re.compile(r"\*\*|`")
+_MARKDOWN = re.compile(r"\*+|`")
+_WIDTH = 140
 
 
 def inspect(
@@ -52,7 +58,7 @@ def inspect(
     run = open_run(run_path)
     notes: list[str] = []
     if wanted == WORST:
-        number, why = find_worst(run)
+        number, why = find_worst(run, bag)
         notes.append(f"Scan {number} is the worst: {why}.")
     else:
         try:
@@ -71,27 +77,40 @@ def inspect(
         notes.append(inspected.lidar)
     notes += [faults_in_words(faults, lines), agreement(run, inspected)]
     reasons = explain_lines(labelling)
-    counts = None if faults is None else faults.counts(lines).tolist()
-    document = scan_document(f"Scan {number} of {run.name}", notes, labelling, reasons, counts)
+    of_returns = ReturnReasons(labelling, inspected.level.placed.points_level)
     opened = line if line is not None or faults is None else faults.worst_line(lines)
-    explained = ExplainedScan(inspected.level, labelling, reasons, faults, document, opened)
+    title = f"Scan {number} of {run.name}"
+    explained = ExplainedScan(
+        level=inspected.level,
+        labelling=labelling,
+        reasons=reasons,
+        final=inspected.final,
+        truth=inspected.truth,
+        why_changed=inspected.why_changed,
+        faults=faults,
+        notes=[_returns_in_markdown(inspected, of_returns, own) for own in range(len(lines))],
+        document=_document(title, notes, inspected, of_returns, reasons),
+        line=opened,
+    )
     write(target, str(uuid.uuid4()), explained)
+    _print(f"{title}: labels of its returns", *label_counts(inspected), (0, 1))
     for note in notes:
         typer.echo(_MARKDOWN.sub("", note))
     if line is None:
         if inspected.changes:
             title = "Why the building changed its labels"
-            _print(title, CHANGE_HEADINGS, inspected.changes, (2, 3, 4))
-        outcomes = [
-            (str(sum(reason.outcome == outcome for reason in reasons)), name)
-            for outcome, (name, _) in LINE_OUTCOMES.items()
-        ]
-        _print("Outcomes of its lines", ("lines", "outcome"), outcomes, (1,))
+            _print(title, CHANGE_HEADINGS, inspected.changes, (2, 3, 5, 6), (5,))
+        _print("Floor and ceilings", SURFACE_HEADINGS, of_returns.surface_rows, (0,))
+        _print("Outcomes of its lines", ("lines", "outcome"), count_outcomes(reasons), (1,))
     if opened is not None:
-        reason = reasons[opened]
+        reason, own = reasons[opened], lines.of(opened)
         title = f"{name_of(reason.line)}: {LINE_OUTCOMES[reason.outcome][0]}"
-        _print(title, CONDITION_HEADINGS, condition_rows(reason.conditions), (0, 1, 2, 3))
-        typer.echo(reason.sentence)
+        conditions = [own.row for own in reason.conditions]
+        _print(title, HEADINGS, conditions, range(6), (4,))
+        typer.echo(f"{reason.sentence}\n{_MARKDOWN.sub('', NOTE)}")
+        _print("Labels of its returns", *label_counts(inspected, own), (0, 1))
+        title = "Why its returns have their labels by the scan (median return)"
+        _print(title, ("returns", "label", *HEADINGS), of_returns.rows(own), range(1, 8), (6,))
     typer.echo(f"recording: {target}  (open it: ffmap view {target}; move the timeline 'line')")
     if spawn:
         open_viewer(target)
@@ -117,7 +136,44 @@ def _target(run: FinishedRun, out: Path | None, number: int) -> Path:
     return path
 
 
+def _returns_in_markdown(inspected: InspectedScan, of_returns: ReturnReasons, line: int) -> str:
+    """Return the labels of a line's returns, and why the scan gave them."""
+    own = inspected.labelling.lines.of(line)
+    if not len(own):
+        return ""
+    labels, why = table(*label_counts(inspected, own)), of_returns.document(own)
+    return f"{labels}\n\n## Why its returns have their labels by the scan (median return)\n\n{why}"
+
+
+def _document(
+    title: str,
+    notes: Sequence[str],
+    inspected: InspectedScan,
+    of_returns: ReturnReasons,
+    reasons: Sequence[LineReason],
+) -> str:
+    """Return the document on the whole scan."""
+    faults, lines = inspected.faults, inspected.labelling.lines
+    marked = None if faults is None else faults.counts(lines).tolist()
+    parts = [
+        *(f"# {title}", table(*label_counts(inspected)), *notes),
+        *("## Floor and ceilings", table(SURFACE_HEADINGS, of_returns.surface_rows)),
+        *("## Why the scan gave its labels (median return)", of_returns.document(), NOTE),
+    ]
+    if inspected.changes:
+        changes = table(CHANGE_HEADINGS, inspected.changes)
+        parts += ["## Why the building changed its labels", changes]
+    return "\n\n".join([*parts, scan_document(inspected.labelling, reasons, marked)])
+
+
 def _print(
-    title: str, headings: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int]
+    title: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    left: Collection[int],
+    whole: Collection[int] = (),
 ) -> None:
-    Console(highlight=False).print(make_table(title, headings, rows, left=left))
+    console = Console(highlight=False)
+    if not console.is_terminal:  # of no width that anyone sees
+        console.width = max(console.width, _WIDTH)
+    console.print(make_table(title, headings, rows, left=left, whole=whole))

@@ -1,14 +1,16 @@
 """One scan's evidence as a recording whose timeline `line` steps through its point lines."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.labels import Label, Truth
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.poses.levelling import LevelledScan
@@ -16,6 +18,7 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.app.record.line_reasons import LineReason, line_document
 from ffmap.app.record.log import Log, open_log
+from ffmap.app.record.return_reasons import ReturnReasons
 from ffmap.app.record.scans import log_example, log_scan
 from ffmap.app.record.shapes import (
     annotations,
@@ -34,6 +37,7 @@ from ffmap.blueprints.entities import (
     CLASSES,
     DOOR_COLOR,
     FAULT_CLASSES,
+    POINTS,
     UPMOST_COLOR,
     WALL_COLOR,
     Color,
@@ -43,6 +47,9 @@ from ffmap.blueprints.entities import (
 _SIGHT_COLOR = (255, 255, 255, 45)
 _GROWING_COLOR: Color = (190, 120, 255)
 _OTHER_COLOR: Color = (120, 140, 170)
+TRUE_CLASSES = {int(own): own.name.lower().replace("_", " ") for own in Truth}
+"""Name of each class of the ground truth."""
+_LABELS = {int(label): name for label, (name, _) in CLASSES.items()}
 _LIFT_M = 0.1
 """Distance (m) of a mark before its return, in whose plane it would be hidden."""
 
@@ -74,14 +81,20 @@ class ScanFaults:
 class ExplainedScan:
     """One scan with its explanation.
 
-    faults: None if no final labels are known. document: on the whole scan, in Markdown.
+    final, truth: (n,) final label and true class of each return. why_changed: half a line on each
+    change by the building, "" without one. faults: of the final labels. None if unknown.
+    notes: of each line, in Markdown. document: on the whole scan, in Markdown.
     line: the line at which the recording opens.
     """
 
     level: LevelledScan
     labelling: ScanLabelling
     reasons: Sequence[LineReason]
+    final: UInt8Array | None
+    truth: UInt8Array | None
+    why_changed: Sequence[str] | None
     faults: ScanFaults | None
+    notes: Sequence[str]
     document: str
     line: int | None
 
@@ -105,12 +118,43 @@ def log_explained(log: Log, scan: ExplainedScan) -> None:
     labelling = scan.labelling
     log_static(log, {}, scan.document, labelling.settings.vertical_structures.slope_max)
     log_scan(log, None, scan.level, labelling, 0)
+    of_returns = _of_returns(scan)
+    log.static(POINTS, of_returns)
+    if scan.faults is not None:
+        marked = scan.faults.fault > 0
+        log.static("/scan/faults", {name: own[marked] for name, own in of_returns.items()})
     lines = _Lines(log, scan)
     lines.log_styles(*_profile_size(scan.level.placed, labelling))
     for reason in scan.reasons:
         log.at_line(reason.line)
         lines.log_line(reason)
     log.text("/why/scan", scan.document)
+
+
+def _of_returns(scan: ExplainedScan) -> dict[str, npt.NDArray[Any]]:
+    """Return what the viewer shows of a return that is clicked, (n,) each."""
+    labelling, lines = scan.labelling, scan.labelling.lines
+    line = np.empty(len(labelling.label), np.int32)
+    line[lines.order] = np.repeat(np.arange(len(lines)), np.diff(lines.starts))
+    reasons = ReturnReasons(labelling, scan.level.placed.points_level).short()
+    found = {
+        "line": line,
+        "why_line": np.array([reason.short for reason in scan.reasons], object)[line],
+        "name_of_label_scan": _named(_LABELS, labelling.label),
+        "why_label_scan": np.array(reasons, object),
+    }
+    if scan.final is not None:
+        found["final_label"] = _named(_LABELS, scan.final)
+    if scan.why_changed is not None:
+        found["why_changed"] = np.array(scan.why_changed, object)
+    if scan.truth is not None:
+        found["true_class"] = _named(TRUE_CLASSES, scan.truth)
+    return found
+
+
+def _named(names: Mapping[int, str], codes: UInt8Array) -> npt.NDArray[Any]:
+    table = np.array([names.get(code, "unknown") for code in range(256)], object)
+    return np.asarray(table[codes])
 
 
 def _profile_size(placed: PlacedScan, labelling: ScanLabelling) -> tuple[float, float]:
@@ -140,6 +184,7 @@ class _Lines:
     def __init__(self, log: Log, scan: ExplainedScan) -> None:
         placed = scan.level.placed
         self._log, self._labelling, self._faults = log, scan.labelling, scan.faults
+        self._notes = scan.notes
         self._points, self._origin = placed.points_level, placed.origin_level
         self._floor_m = scan.labelling.floor.height_m
         range_m = np.linalg.norm(placed.points_level[:, :2] - self._origin[:2], axis=1)
@@ -192,7 +237,8 @@ class _Lines:
     def log_line(self, reason: LineReason) -> None:
         """Log one line: why it became what it is, in space, and its profile."""
         line = reason.line
-        document = line_document(self._labelling, reason, self._log_faults(line))
+        notes = f"{self._log_faults(line)}\n\n{self._notes[line]}"
+        document = line_document(self._labelling, reason, notes)
         markdown = [rr.MediaType.MARKDOWN]
         self._log.row("/why/line", rr.TextDocument, text=[document], media_type=markdown)
         log_example(self._log, self._points, self._labelling, line)

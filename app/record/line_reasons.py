@@ -1,49 +1,65 @@
 """Why each point line is, or is not, in a wall or above a door: conditions with measured values."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
+from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, UInt8Array
 from ffmap.algorithms.scan.doors import (
+    ABOVE_MORE_M,
+    ABOVE_PER_RECESS,
     EXCEPTIONS_MAX,
     HEIGHT_MAX_M,
     OPEN_DEPTH_M,
-    Depression,
+    RETURNS_MIN,
     DoorState,
 )
-from ffmap.algorithms.scan.labelling import ScanLabelling
+from ffmap.algorithms.scan.labelling import ScanLabelling, label_horizontal
 from ffmap.algorithms.scan.point_lines import POINTS_MIN
 from ffmap.algorithms.scan.wall_candidates import Reach
-from ffmap.algorithms.scan.wall_planes import BOTTOM_MAX_M, LENGTH_MIN_M, Membership
+from ffmap.algorithms.scan.wall_planes import BOTTOM_MAX_M, LENGTH_MIN_M
+from ffmap.app.record.conditions import (
+    HEADINGS,
+    NOTE,
+    Condition,
+    centimetres,
+    first_unmet,
+    setting_of,
+)
 from ffmap.app.record.tables import fields_table, table
 from ffmap.blueprints.entities import LINE_OUTCOMES, LineOutcome
 
-CONDITION_HEADINGS = ("condition", "measured", "limit", "met")
-
-
-@dataclass(frozen=True)
-class Condition:
-    """One condition of the method; met: None if it decides nothing."""
-
-    name: str
-    measured: str
-    limit: str
-    met: bool | None
-
-    def __str__(self) -> str:
-        return f"{self.name}: {self.measured} (limit {self.limit})"
+Conditions = tuple[Condition, ...]
 
 
 @dataclass(frozen=True)
 class LineReason:
-    """The conditions of a line, in the order of the method, and the result in half a line."""
+    """The conditions of a line, in the order of the method, and the result in half a line.
+
+    common: of all lines. candidates: of each of its wall candidates. door: of its up-most one.
+    """
 
     line: int
-    outcome: LineOutcome
     short: str
-    conditions: tuple[Condition, ...]
+    common: Conditions
+    candidates: tuple[Conditions, ...] = ()
+    door: Conditions = ()
+
+    @property
+    def conditions(self) -> Conditions:
+        return (*self.common, *chain(*self.candidates), *self.door)
+
+    @property
+    def outcome(self) -> LineOutcome:
+        """The outcome by the conditions."""
+        if first_unmet(self.common) is not None:
+            return LineOutcome.NO_STRUCTURE
+        if all(first_unmet(own) is not None for own in self.candidates):
+            return LineOutcome.REFUSED
+        return LineOutcome.WALL if first_unmet(self.door) is not None else LineOutcome.DOOR
 
     @property
     def sentence(self) -> str:
@@ -64,199 +80,231 @@ def line_outcomes(labelling: ScanLabelling) -> UInt8Array:
 
 def candidate_reasons(labelling: ScanLabelling) -> list[str]:
     """Return why each wall candidate was taken or refused."""
-    return [_candidate_reason(labelling, c) for c in range(len(labelling.planes.candidates.line))]
+    count = len(labelling.planes.candidates.line)
+    return [_candidate_reason(labelling, c, _candidate(labelling, c)) for c in range(count)]
 
 
 def door_reasons(labelling: ScanLabelling) -> list[str]:
     """Return why each line of a wall plane is above a door, or not."""
-    return [_door_reason(labelling, d) for d in range(len(labelling.door_lines.line))]
+    count = len(labelling.door_lines.line)
+    return [_door_reason(labelling, d, _door(labelling, d)) for d in range(count)]
 
 
 def explain_lines(labelling: ScanLabelling) -> list[LineReason]:
     """Return the reason of each line of a scan."""
-    outcomes = enumerate(line_outcomes(labelling))
-    return [_explain(labelling, line, LineOutcome(outcome)) for line, outcome in outcomes]
+    upright = labelling.lines.count(_is_upright(labelling))
+    return [_explain(labelling, line, int(count)) for line, count in enumerate(upright)]
 
 
 def name_of(line: int) -> str:
     return f"line {line} (pair {line // 2}, side {line % 2})"
 
 
-def _explain(labelling: ScanLabelling, line: int, outcome: LineOutcome) -> LineReason:
-    structures, planes = labelling.structures, labelling.planes
-    conditions = [_has_samples(labelling, line)]
-    if conditions[-1].met:
-        conditions.append(_has_structure(labelling, line))
-    if not conditions[-1].met:
-        return LineReason(line, outcome, str(conditions[-1]), tuple(conditions))
-    reasons = []
-    for c in np.flatnonzero(planes.candidates.line == line).tolist():
-        # A lower structure that reaches a ceiling is a candidate too: a wall below a lintel.
-        upmost = planes.candidates.structure[c] == structures.upmost[line]
-        reasons.append(_candidate_reason(labelling, c))
-        conditions += _candidate_conditions(labelling, c, "" if upmost else " (lower)")
+def _is_upright(labelling: ScanLabelling) -> BoolArray:
+    """(n,) whether each return was neither floor nor ceiling when the lines were made."""
+    own = labelling.height_m, labelling.below_m, labelling.settings.rearrangement
+    return np.asarray(label_horizontal(*own) == Label.CLUTTER)
+
+
+def _explain(labelling: ScanLabelling, line: int, upright: int) -> LineReason:
+    common = _common(labelling, line, upright)
+    unmet = first_unmet(common)
+    if unmet is not None:
+        return LineReason(line, str(unmet), common)
+    planes = labelling.planes
+    own = np.flatnonzero(planes.candidates.line == line).tolist()
+    candidates = tuple(_candidate(labelling, c) for c in own)
+    reasons = [
+        _candidate_reason(labelling, c, conditions)
+        for c, conditions in zip(own, candidates, strict=True)
+    ]
+    # The door conditions are of its up-most structure.
     door_lines = np.flatnonzero(labelling.door_lines.line == line).tolist()
-    for d in door_lines[:1]:
-        conditions += _door_conditions(labelling, d)
-        if outcome == LineOutcome.DOOR:
-            reasons.append(_door_reason(labelling, d))
-    if not door_lines:
-        conditions.append(Condition("III.C, door 1: in a wall plane", "in none", "in one", False))
-    return LineReason(line, outcome, "; ".join(reasons), tuple(conditions))
+    if door_lines:
+        door = _door(labelling, door_lines[0])
+        if first_unmet(door) is None:
+            reasons.append(_door_reason(labelling, door_lines[0], door))
+    else:
+        door = (_in_plane(None),)
+    return LineReason(line, "; ".join(reasons), common, candidates, door)
 
 
-def _has_samples(labelling: ScanLabelling, line: int) -> Condition:
-    lines = labelling.lines
-    returns, met = lines.starts[line + 1] - lines.starts[line], lines.samples[line, 0] >= 0
+def _common(labelling: ScanLabelling, line: int, upright: int) -> Conditions:
+    """Return the conditions up to the first that is not met."""
+    settings, structures = labelling.settings, labelling.structures
+    of = f"of {labelling.lines.starts[line + 1] - labelling.lines.starts[line]} returns"
     name = "III.A: returns without floor and ceiling"
-    return Condition(name, f"of {returns} returns", f"≥ {POINTS_MIN}", bool(met))
-
-
-def _has_structure(labelling: ScanLabelling, line: int) -> Condition:
-    structures, settings = labelling.structures, labelling.settings.vertical_structures
-    found = np.count_nonzero(structures.line == line)
-    name = "III.B, eq. 2: neighbouring upright samples, without a jump"
-    measured = f"longest run {_longest_run(structures.upright[line])}, {found} structures"
-    limit = f"≥ {settings.points_min} within ±{settings.slope_max:g}"
-    return Condition(name, measured, limit, bool(found))
+    enough = Condition(name, upright, "≥", POINTS_MIN, note=of)
+    if not enough.met:
+        return (enough,)
+    if labelling.lines.samples[line, 0] < 0:
+        name = "III.A: returns in the middle of its sector"
+        return (enough, Condition(name, 0, "≥", 1))
+    slope_max = setting_of(settings, "vertical_structures.slope_max")
+    return (
+        enough,
+        Condition(
+            f"III.B, eq. 2: longest run of samples within ±{slope_max.value:g} "
+            f"({slope_max.step}.{slope_max.field}), without a jump",
+            structures.longest[line],
+            "≥",
+            settings.vertical_structures.points_min,
+            setting=setting_of(settings, "vertical_structures.points_min"),
+        ),
+    )
 
 
 def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
-    planes, settings = labelling.planes, labelling.settings.wall_planes
+    planes, settings = labelling.planes, labelling.settings
     reach, below_m = Reach(planes.candidates.reach[c]), planes.candidates.below_ceiling_m[c]
-    top_m = labelling.structures.top_m[planes.candidates.structure[c]]
-    measured, limit = f"top at {top_m:.2f} m", f"≥ {settings.height_min_m:g} m"
-    if not np.isnan(below_m):
-        measured, limit = f"{_cm(below_m)} below the ceiling", f"≤ {_cm(settings.reach_m)}"
-    exception = {
+    if np.isnan(below_m):
+        return Condition(
+            "III.B: height of its top; no ceiling is in view",
+            labelling.structures.top_m[planes.candidates.structure[c]],
+            "≥",
+            settings.wall_planes.height_min_m,
+            "m",
+            setting_of(settings, "wall_planes.height_min_m"),
+        )
+    exceptions = {
         Reach.ABOVE_CEILINGS: "above all ceilings",
-        Reach.TURNS_BACK: "no ceiling in its line",
+        Reach.TURNS_BACK: "next to no return of a ceiling in its line",
         Reach.OVERHUNG: "overhung up to a ceiling",
-    }.get(reach)
-    measured += f", {exception}" if exception else ""
-    return Condition("III.B: reaches the ceiling", measured, limit, reach != Reach.LOW)
+    }
+    return Condition(
+        "III.B: distance of its top from the ceiling",
+        np.abs(below_m),
+        "<",
+        settings.wall_planes.reach_m,
+        "m",
+        setting_of(settings, "wall_planes.reach_m"),
+        note="above it" if below_m < 0 else "",
+        otherwise=exceptions.get(reach, ""),
+    )
 
 
-def _membership(labelling: ScanLabelling, c: int) -> Condition:
-    """Return the condition that decided whether a candidate is in a wall plane."""
-    planes, settings = labelling.planes, labelling.settings.wall_planes
-    nearest_m, similar = planes.candidate_nearest_m[c], f"< {_cm(settings.similarity_m)}"
-    few = f"≥ {settings.lines_min} lines"
-    match Membership(planes.candidate_membership[c]):
-        case Membership.IN_PLANE:
-            plane = planes.candidate_plane[c]
-            return Condition(f"Alg. 1: distance to plane {plane}", _cm(nearest_m), similar, True)
-        case Membership.REFUSED:
-            return _reaches_ceiling(labelling, c)
-        case Membership.ALONE:
-            peers = np.count_nonzero(planes.candidate_grown == planes.candidate_grown[c])
-            nearest = "no other near" if np.isnan(nearest_m) else f"nearest {_cm(nearest_m)} away"
-            measured = f"of {peers} lines, {nearest}"
-            return Condition("Alg. 1: its plane", measured, f"{few}, or {similar}", False)
-        case Membership.FEW_LINES:
-            return Condition("Alg. 1: lines left in its plane", "fewer", few, False)
-        case Membership.SHORT:
-            limit = f"≥ {_cm(LENGTH_MIN_M)}"
-            return Condition("III.B: length of its plane", "shorter", limit, False)
-        case Membership.ROUGH:
-            limit = f"≤ {_cm(settings.similarity_m)}"
-            return Condition("Alg. 1: RMS of its plane", "more", limit, False)
-        case Membership.DUCT:
-            bottom_m = labelling.structures.bottom_m[planes.candidates.structure[c]]
-            limit = f"≤ {BOTTOM_MAX_M:g} m in one line"
-            name = "III.B: lower edge (else a duct)"
-            return Condition(name, f"at {bottom_m:.2f} m", limit, False)
+def _candidate(labelling: ScanLabelling, c: int) -> Conditions:
+    """Return the conditions of a wall candidate, up to the first that is not met."""
+    planes, settings = labelling.planes, labelling.settings
+    similarity_m, lines_min = settings.wall_planes.similarity_m, settings.wall_planes.lines_min
+    similarity = setting_of(settings, "wall_planes.similarity_m")
+    enough = setting_of(settings, "wall_planes.lines_min")
+    structure = planes.candidates.structure[c]
+    # A lower structure that reaches a ceiling is a candidate too: a wall below a lintel.
+    is_upmost = structure == labelling.structures.upmost[planes.candidates.line[c]]
+    which = "" if is_upmost else " (lower)"
+    found = [_reaches_ceiling(labelling, c)]
+    if not np.isnan(planes.candidate_distance_m[c]):
+        name = "Alg. 1, else it begins the next plane: "
+        gap_m, gap_max_m = planes.candidate_gap_m[c], planes.candidates.gap_max_m[c]
+        gap = setting_of(settings, "wall_planes.gap_m")
+        theta_m = planes.candidate_distance_m[c]
+        found += [
+            Condition(
+                *(f"{name}Θ to the growing plane", theta_m, "<", similarity_m, "m", similarity),
+                decides=False,
+            ),
+            Condition(
+                *(f"{name}distance to its last line", gap_m, "<", gap_max_m, "m", gap),
+                decides=False,
+            ),
+        ]
+    if found[0].met:
+        grown, nearest_m = planes.candidate_grown, planes.candidate_nearest_m[c]
+        peers = int(np.count_nonzero(grown == grown[c]))
+        many = Condition("", peers, "≥", lines_min, setting=enough)
+        lines, length_m, rms_m, lowest_m = planes.candidate_settled[c]
+        none = "no such plane within reach" if np.isnan(nearest_m) else ""
+        name = f"Alg. 1: Θ to the nearest plane of {lines_min} or more lines"
+        found += [
+            replace(many, name="Alg. 1: lines of the plane that it grew into", decides=False),
+            Condition(name, nearest_m, "<", similarity_m, "m", similarity, none),
+            replace(many, name="Alg. 1: lines of that plane in the end", measured=lines),
+            Condition("III.B: length of that plane", length_m, "≥", LENGTH_MIN_M, "m"),
+            Condition("Alg. 1: RMS of that plane", rms_m, "≤", similarity_m, "m", similarity),
+            Condition(
+                "III.B: lowest lower edge in that plane, else it is a duct",
+                *(lowest_m, "<", BOTTOM_MAX_M, "m"),
+            ),
+        ]
+    return _up_to_first_unmet(replace(own, name=own.name + which) for own in found)
 
 
-def _candidate_conditions(labelling: ScanLabelling, c: int, which: str) -> list[Condition]:
-    """which: added to the names of the conditions."""
-    planes, settings = labelling.planes, labelling.settings.wall_planes
-    conditions = [_reaches_ceiling(labelling, c)]
-    for name, measured_m, limit_m in (
-        ("Alg. 1: Θ to the growing plane", planes.candidate_distance_m[c], settings.similarity_m),
-        (
-            "Alg. 1: distance to its last line",
-            planes.candidate_gap_m[c],
-            planes.candidates.gap_max_m[c],
-        ),
-    ):
-        if not np.isnan(planes.candidate_distance_m[c]):
-            near = bool(measured_m < limit_m)
-            conditions.append(Condition(name, _cm(measured_m), f"< {_cm(limit_m)}", near))
-    if conditions[0].met:
-        conditions.append(_membership(labelling, c))
-    return [Condition(k.name + which, k.measured, k.limit, k.met) for k in conditions]
-
-
-def _candidate_reason(labelling: ScanLabelling, c: int) -> str:
+def _candidate_reason(labelling: ScanLabelling, c: int, conditions: Conditions) -> str:
     planes = labelling.planes
-    plane = planes.candidate_plane[c]
-    if plane < 0:
-        return f"refused: {_membership(labelling, c)}"
-    return f"taken: plane {plane}, {_cm(planes.candidate_nearest_m[c])} off"
+    unmet = first_unmet(conditions)
+    if unmet is not None:
+        return f"refused: {unmet}"
+    off = centimetres(planes.candidate_nearest_m[c])
+    return f"taken: plane {planes.candidate_plane[c]}, {off} off"
 
 
-def _is_behind(labelling: ScanLabelling, d: int) -> Condition:
-    """Return the second condition of a door, with the measurement that decided it."""
-    doors, settings = labelling.door_lines, labelling.settings.doors
-    name, recess = "III.C, door 2: all below is behind", f"≥ {_cm(settings.recess_min_m)}"
-    share, behind_m = doors.on_plane_share[d], -doors.below_m[d]
-    if doors.behind[d]:
-        measured = f"{_cm(behind_m)}, {share:.0%} on the plane"
-        limit = f"{recess}, ≤ {EXCEPTIONS_MAX:.0%} on it"
-        return Condition(name, measured, limit, True)
-    match Depression(doors.depression[d]):
-        case Depression.FEW_RETURNS:
-            measured, limit = "too few returns at the plane and behind it", recess
-        case Depression.NONE if np.isnan(doors.recess_m[d]):
-            measured, limit = "line too short below the lintel", recess
-        case Depression.NONE:
-            measured, limit = f"recedes by {_cm(doors.recess_m[d])}", recess
-        case Depression.ABOVE_OFF_PLANE:
-            measured = f"above the recess {_cm(abs(doors.above_m[d]))} off the plane"
-            limit = "on it"
-        case Depression.SHALLOW:
-            measured, limit = _cm(behind_m), recess
-        case Depression.EXCEPTIONS:
-            measured, limit = f"{share:.0%} on the plane", f"≤ {EXCEPTIONS_MAX:.0%}"
-        case Depression.HELD:
-            measured, limit = "nothing behind", recess
-    return Condition(name, measured, limit, False)
+def _in_plane(plane: int | None) -> Condition:
+    name = "III.C, door 1: planes with its up-most structure"
+    note = "" if plane is None else f"(plane {plane})"
+    return Condition(name, float(plane is not None), "≥", 1, note=note)
 
 
-def _is_high(labelling: ScanLabelling, d: int) -> Condition:
-    doors, settings = labelling.door_lines, labelling.settings.doors
-    measured = f"begins at {doors.start_height_m[d]:.2f} m"
-    limit = f"{settings.height_min_m:g}–{HEIGHT_MAX_M:g} m"
-    return Condition("III.C, door 3: height", measured, limit, bool(doors.high_enough[d]))
-
-
-def _door_conditions(labelling: ScanLabelling, d: int) -> list[Condition]:
-    doors, openings = labelling.door_lines, labelling.openings
-    settings = labelling.settings.doors
-    behind = _is_behind(labelling, d)
-    plane = f"plane {doors.plane[d]}"
-    conditions = [Condition("III.C, door 1: in a wall plane", plane, "in one", True), behind]
-    if not behind.met:
+def _door(labelling: ScanLabelling, d: int) -> Conditions:
+    """Return the conditions of a door, up to the first that is not met, and what follows."""
+    doors, settings = labelling.door_lines, labelling.settings
+    recess_m, name = settings.doors.recess_min_m, "III.C, door 2: "
+    recess = setting_of(settings, "doors.recess_min_m")
+    above = setting_of(settings, "doors.recess_min_m", ABOVE_PER_RECESS)
+    height_m, height = settings.doors.height_min_m, setting_of(settings, "doors.height_min_m")
+    step_m, start_m, share = doors.recess_m[d], doors.start_height_m[d], doors.on_plane_share[d]
+    above_max_m = ABOVE_PER_RECESS * recess_m + ABOVE_MORE_M
+    short = "line too short below the lintel" if np.isnan(step_m) else ""
+    start = "III.C, door 3: height at which it begins"
+    conditions = _up_to_first_unmet(
+        (
+            _in_plane(doors.plane[d]),
+            Condition(
+                f"{name}returns at the plane and behind it", doors.return_count[d], "≥", RETURNS_MIN
+            ),
+            Condition(f"{name}largest step back", step_m, ">", recess_m, "m", recess, short),
+            Condition(
+                f"{name}distance of the wall above from the plane",
+                *(np.abs(doors.above_m[d]), "≤", above_max_m, "m", above),
+            ),
+            Condition(f"{name}depth of the rest", -doors.below_m[d], "≥", recess_m, "m", recess),
+            Condition(f"{name}share of it on the plane", share, "≤", EXCEPTIONS_MAX, "%"),
+            Condition(start, start_m, "≥", height_m, "m", height),
+            Condition(start, start_m, "≤", HEIGHT_MAX_M, "m"),
+        )
+    )
+    if first_unmet(conditions) is not None:
         return conditions
-    opening = int(openings.door_line_opening[d])
-    lines = f"opening {opening}: {openings.line_count[opening]}" if opening >= 0 else "in none"
-    open_depth = f"open > {_cm(OPEN_DEPTH_M)}"
-    depth = f"{_cm(doors.depth_m[d])}: {DoorState(doors.state[d]).name.lower()}"
-    return [
+    name = "III.C: depth of an open door, else it is closed"
+    return (
         *conditions,
-        _is_high(labelling, d),
-        Condition("III.C: depth", depth, open_depth, None),
-        Condition("neighbouring lines", lines, f"≥ {settings.lines_min}", opening >= 0),
-    ]
+        Condition(name, doors.depth_m[d], ">", OPEN_DEPTH_M, "m", decides=False),
+        Condition(
+            "III.C: neighbouring lines of its opening",
+            labelling.openings.door_line_group[d],
+            "≥",
+            settings.doors.lines_min,
+            setting=setting_of(settings, "doors.lines_min"),
+            decides=False,
+        ),
+    )
 
 
-def _door_reason(labelling: ScanLabelling, d: int) -> str:
+def _up_to_first_unmet(conditions: Iterable[Condition]) -> Conditions:
+    found: list[Condition] = []
+    for condition in conditions:
+        found.append(condition)
+        if condition.decides and not condition.met:
+            break
+    return tuple(found)
+
+
+def _door_reason(labelling: ScanLabelling, d: int, conditions: Conditions) -> str:
+    unmet = first_unmet(conditions)
+    if unmet is not None:
+        return f"no door: {unmet}"
     doors, opening = labelling.door_lines, int(labelling.openings.door_line_opening[d])
-    for condition_of in (_is_behind, _is_high):
-        if not (condition := condition_of(labelling, d)).met:
-            return f"no door: {condition}"
-    state, depth = DoorState(doors.state[d]).name.lower(), _cm(doors.depth_m[d])
+    state, depth = DoorState(doors.state[d]).name.lower(), centimetres(doors.depth_m[d])
     part = f"part of opening {opening}" if opening >= 0 else "too few lines for an opening"
     below = f"{depth} deep below {doors.start_height_m[d]:.2f} m"
     return f"above a door, {state}: {below}; {part}"
@@ -279,15 +327,22 @@ def line_document(labelling: ScanLabelling, reason: LineReason, note: str = "") 
         f"# {name_of(reason.line).capitalize()}: {LINE_OUTCOMES[reason.outcome][0]}",
         reason.sentence,
         note,
-        table(CONDITION_HEADINGS, condition_rows(reason.conditions)).replace(" no |", " **no** |"),
+        table(HEADINGS, [own.row for own in reason.conditions]).replace("| no |", "| **no** |"),
+        NOTE,
         f"## Its vertical structures, upwards\n\n{table(headings, rows)}" if rows else "",
     ]
     return "\n\n".join(part for part in parts if part)
 
 
+def count_outcomes(reasons: Sequence[LineReason]) -> list[tuple[str, str]]:
+    """Return the number of lines with each outcome."""
+    return [
+        (str(sum(reason.outcome == outcome for reason in reasons)), name)
+        for outcome, (name, _) in LINE_OUTCOMES.items()
+    ]
+
+
 def scan_document(
-    title: str,
-    notes: Sequence[str],
     labelling: ScanLabelling,
     reasons: Sequence[LineReason],
     marked: Sequence[int] | None = None,
@@ -296,17 +351,8 @@ def scan_document(
 
     marked: number of marked returns of each line, if known.
     """
-    planes, openings, floor_m = labelling.planes, labelling.openings, labelling.floor.height_m
-    heights = [f"{ceiling.height_m - floor_m:.2f} m" for ceiling in labelling.ceilings]
-    ceilings = f"Ceilings at {', '.join(heights)} above the floor."
-    outcomes = [
-        (sum(reason.outcome == outcome for reason in reasons), name)
-        for outcome, (name, _) in LINE_OUTCOMES.items()
-    ]
-    parts = [
-        *(f"# {title}", *notes, ceilings if heights else "No ceiling is in view."),
-        table(("lines", "outcome"), outcomes),
-    ]
+    planes, openings = labelling.planes, labelling.openings
+    parts = [table(("lines", "outcome"), count_outcomes(reasons))]
     if len(planes):
         fields = "line_count", "rms_m", "bottom_m", "top_m"
         parts += ["## Wall planes", fields_table(planes, *fields, plane=range(len(planes)))]
@@ -323,18 +369,3 @@ def scan_document(
     lines = table(list(columns), list(zip(*columns.values(), strict=True)))
     parts += ["## Lines (2 × pair + side)", lines]
     return "\n\n".join(parts)
-
-
-def condition_rows(conditions: Iterable[Condition]) -> list[tuple[str, str, str, str]]:
-    """Return the rows of a table of conditions."""
-    met = {True: "yes", False: "no", None: "–"}
-    return [(k.name, k.measured, k.limit, met[k.met]) for k in conditions]
-
-
-def _longest_run(held: BoolArray) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], held.astype(np.int8), [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
-
-
-def _cm(metres: float) -> str:
-    return f"{100 * metres:.1f} cm" if abs(metres) < 1 else f"{metres:.2f} m"

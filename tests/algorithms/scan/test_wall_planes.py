@@ -13,7 +13,6 @@ from ffmap.algorithms.scan.wall_candidates import Reach, WallPlanesSettings
 from ffmap.algorithms.scan.wall_planes import (
     BOTTOM_MAX_M,
     Growth,
-    Membership,
     WallPlanes,
     grow_wall_planes,
 )
@@ -62,7 +61,7 @@ def structures_of(
     extent = (run.astype(np.int32) for run in (line, first, last))
     is_upright = np.zeros(absent.shape, bool)
     return VerticalStructures(
-        absent, absent, is_upright, *extent, bottom_m, top_m, upmost, bottommost
+        absent, absent, is_upright, *extent, bottom_m, top_m, upmost, bottommost, upmost + 1
     )
 
 
@@ -221,7 +220,7 @@ def test_a_duct_below_the_ceiling_is_no_wall() -> None:
     assert duct.candidate_growth.tolist() == [SEEDED] + [JOINED] * 11
     assert len(duct) == 0
     assert duct.candidate_plane.tolist() == [-1] * 12
-    assert duct.candidate_membership.tolist() == [Membership.DUCT] * 12
+    np.testing.assert_allclose(duct.candidate_settled[:, 3], DUCT_M[0], atol=1e-6)
     # One line that comes down, as beside a door, makes it a wall.
     assert len(grow(STRAIGHT, spans=[DUCT_M] * 11 + [SPAN_M])) == 1
     # Planes after a duct are numbered without it.
@@ -258,11 +257,11 @@ def test_the_evidence_shows_why_each_candidate_is_in_no_plane() -> None:
     spans = [SPAN_M] * len(candidates)
     spans[2] = (0.1, 2.0)
     found = grow(candidates, spans=spans)
-    reasons, nearest_m = found.candidate_membership, found.candidate_nearest_m
-    assert (reasons[2], found.candidates.reach[2]) == (Membership.REFUSED, Reach.LOW)
+    settled, nearest_m = found.candidate_settled, found.candidate_nearest_m
+    assert found.candidates.reach[2] == Reach.LOW
     assert found.candidates.below_ceiling_m[2] == pytest.approx(CEILING_M - 2.0, abs=1e-5)
     assert found.candidate_grown[2] == -1
-    assert reasons[12:].tolist() == [Membership.ALONE] * 3
+    assert np.isnan(settled[[2, 12, 13, 14]]).all()
     assert nearest_m[12] == pytest.approx(0.3, abs=1e-3)
     assert np.isnan(nearest_m[[2, 13, 14]]).all()
     grown = found.candidate_grown[12:]
@@ -270,14 +269,17 @@ def test_the_evidence_shows_why_each_candidate_is_in_no_plane() -> None:
     others = np.delete(np.arange(12), 2)
     assert np.all(found.candidates.reach[others] == Reach.CEILING)
     np.testing.assert_allclose(nearest_m[others], 0, atol=1e-3)
-    assert np.flatnonzero(reasons == Membership.IN_PLANE).tolist() == others.tolist()
+    assert set(settled[others, 0].tolist()) == {11.0}
+    np.testing.assert_allclose(settled[others, 2], found.rms_m[0])
     assert np.flatnonzero(found.candidate_plane >= 0).tolist() == others.tolist()
     # From one line to the next, and past the one that was refused.
     step_m = float(STRAIGHT[1, 0, 0] - STRAIGHT[0, 0, 0])
     np.testing.assert_allclose(found.candidate_gap_m[[1, 3]], [step_m, 2 * step_m], atol=1e-3)
     assert np.all(found.candidate_gap_m[others[1:]] < found.candidates.gap_max_m[others[1:]])
     short = grow(wall([0.0, 2.0], [0.06, 2.0], 4, lean_m=0.0))
-    assert short.candidate_membership.tolist() == [Membership.SHORT] * 4
+    assert len(short) == 0
+    assert np.all(short.candidate_settled[:, 0] == 4)
+    assert np.all(short.candidate_settled[:, 1] < 0.15)
     high = grow(STRAIGHT, spans=[(0.1, CEILING_M + 0.9)] * 12)
     assert set(high.candidates.reach.tolist()) == {Reach.ABOVE_CEILINGS}
 
