@@ -410,13 +410,37 @@ def test_a_scan_is_labelled_again_bit_for_bit(
 
 
 @pytest.fixture
-def without_truth(runs: dict[str, Path], tmp_path: Path) -> Path:
-    """A run that was not evaluated."""
+def not_evaluated(runs: dict[str, Path], tmp_path: Path) -> Path:
+    """A run without a recording of single scans, as those of a sweep."""
     folder = tmp_path / "run"
     folder.mkdir()
     for name in ("run.json", "labels.parquet", "trajectory.tum"):
         shutil.copy(runs["other"] / name, folder)
     return folder
+
+
+@pytest.fixture
+def without_truth(not_evaluated: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run whose bag has no ground truth."""
+    monkeypatch.setattr(inspection, "read_truth", lambda bag: None)
+    return not_evaluated
+
+
+def test_the_truth_of_a_run_of_a_sweep_is_that_of_its_bag(
+    runs: dict[str, Path], not_evaluated: Path
+) -> None:
+    run = open_run(not_evaluated)
+    assert inspection.find_worst(run) == inspection.find_worst(open_run(runs["other"]))
+    found = inspection.label_again(run, 17)
+    assert found.faults is not None
+    np.testing.assert_array_equal(found.faults.fault > 0, wrong_by_scan(runs["other"])[17])
+    headings, table = inspection.label_counts(found)
+    assert headings == ("true class", "final label", "returns", "")
+    counted = {row[:2]: int(row[2].replace(",", "")) for row in table}
+    assert counted["wall", "wall"] > 1000
+    assert sum(counted.values()) == len(found.labelling.label)
+    wrong = sum(int(row[2].replace(",", "")) for row in table if row[3] == "wrong")
+    assert wrong == np.count_nonzero(found.faults.fault)
 
 
 def wrong_by_scan(run: Path) -> dict[int, np.ndarray]:
@@ -443,7 +467,7 @@ def test_the_worst_scan_is_that_with_most_errors_or_most_changed_labels(
 
 def test_the_worst_scan_opens_at_its_worst_line_and_names_wrong_labels(
     runs: dict[str, Path],
-    without_truth: Path,
+    not_evaluated: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -481,10 +505,19 @@ def test_the_worst_scan_opens_at_its_worst_line_and_names_wrong_labels(
     assert (counted, also_wrong) == (changed.sum(), (wrong & changed).sum())
     assert min(counted, also_wrong) > 0
     assert changes[0][0] in out
-    assert changes[0][4].split()[-1] in out
+    assert changes[0][3].split()[-1] in out
+    face = next(change for change in changes if "lies on a wall's face" in change[3])
+    assert face[5] == "relabelling.wall_distance_m=0.01"
+    assert float(face[6].removeprefix("≤ ")) < 0.01
+    # The first table is of labels, the line's of its conditions, with values to turn them.
+    assert out.startswith(f"Scan {scan} of other: labels of its returns")
+    assert out.index("true class") < out.index("The final label")
+    assert "wall_planes.similarity_m=0.002" in out
+    assert "Why its returns have their labels by the scan" in out
 
+    monkeypatch.setattr(inspection, "read_truth", lambda bag: None)
     # Without truth, what the building changed; a line that the user names precedes the worst.
-    inspect_command.inspect(without_truth, str(scan), 3, None, tmp_path / "a.rrd", spawn=False)
+    inspect_command.inspect(not_evaluated, str(scan), 3, None, tmp_path / "a.rrd", spawn=False)
     explained = written.call_args.args[2]
     assert not explained.faults.by_truth
     np.testing.assert_array_equal(explained.faults.fault == Fault.RELABELLED, changed)
@@ -492,8 +525,8 @@ def test_the_worst_scan_opens_at_its_worst_line_and_names_wrong_labels(
     assert "is not the label by the scan itself (label_scan)" in capsys.readouterr().out
 
     # A run without final labels says that nothing is marked.
-    (without_truth / "labels.parquet").unlink()
-    inspect_command.inspect(without_truth, str(scan), None, None, tmp_path / "b.rrd", spawn=False)
+    (not_evaluated / "labels.parquet").unlink()
+    inspect_command.inspect(not_evaluated, str(scan), None, None, tmp_path / "b.rrd", spawn=False)
     assert written.call_args.args[2].faults is None
     assert "has no final labels (label) of this scan" in capsys.readouterr().out
 

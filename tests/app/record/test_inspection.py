@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from ffmap.algorithms.base.labels import Label, Truth
+from ffmap.algorithms.building.label_reasons import REASONS, Reason
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.app.record.inspection import ExplainedScan, ScanFaults, write
 from ffmap.app.record.line_reasons import explain_lines
 from ffmap.app.record.shapes import packed_colors
 from ffmap.blueprints.entities import (
     BOTTOMMOST_COLOR,
+    CLASSES,
     FAULT_CLASSES,
     LINE_TIMELINE,
     UPMOST_COLOR,
@@ -31,7 +34,12 @@ def explained(settings: dict[str, float]) -> ExplainedScan:
     method = synthetic.settings()
     method = replace(method, wall_planes=method.wall_planes.model_copy(update=settings))
     labelling = label_scan(scan, level.placed, method, 3)
-    return ExplainedScan(level, labelling, explain_lines(labelling), None, "# Scan", line=5)
+    reasons = explain_lines(labelling)
+    return ExplainedScan(
+        *(level, labelling, reasons, None, None, None, None),
+        *([f"Note {line}." for line in range(len(reasons))], "# Scan"),
+        line=5,
+    )
 
 
 def by_line(path: Path, entity: str, component: str) -> dict[int, Any]:
@@ -83,8 +91,26 @@ def test_wrong_labels_are_marked_in_the_scan_and_in_each_line(tmp_path: Path) ->
     fault = np.random.default_rng(2).choice(3, returns, p=(0.9, 0.06, 0.04)).astype(np.uint8)
     fault[lines.order[lines.starts[4] : lines.starts[5]]] = Fault.NONE
     faults, path = ScanFaults(fault, by_truth=True), tmp_path / "inspect.rrd"
-    write(path, "inspect-2", replace(scan, faults=faults))
+    labelling, truth = scan.labelling, np.full(returns, Truth.BOARD_ON_WALL, np.uint8)
+    final = np.where(fault == Fault.OF_THE_BUILDING, Label.CLUTTER, labelling.label)
+    why = [REASONS[Reason.AGAINST_WALL] if own == Fault.OF_THE_BUILDING else "" for own in fault]
+    known = {"final": final.astype(np.uint8), "truth": truth, "why_changed": why}
+    write(path, "inspect-2", replace(scan, faults=faults, **known))
     marked = static(path)["/scan/faults"]
+    # What a click on a return shows: its line, the true class, labels, and why.
+    for entity, chosen in (("/scan/points", np.arange(returns)), ("/scan/faults", fault > 0)):
+        clicked = {name: value[0] for name, value in static(path)[entity].items()}
+        line = np.repeat(np.arange(len(lines)), np.diff(lines.starts))[np.argsort(lines.order)]
+        assert clicked["line"] == line[chosen].tolist()
+        short = [scan.reasons[own].short for own in clicked["line"]]
+        assert clicked["why_line"] == short
+        assert set(clicked["true_class"]) == {"board on wall"}
+        assert clicked["final_label"] == [CLASSES[own][0] for own in final[chosen]]
+        assert clicked["why_changed"] == np.array(why, object)[chosen].tolist()
+        shown = zip(clicked["name_of_label_scan"], clicked["why_label_scan"], strict=True)
+        for name, reason in shown:
+            assert reason.startswith(("III.A", "III.C"))
+            assert ("from the floor" in reason) == (name == "floor")
     np.testing.assert_array_equal(marked["class_ids"][0], fault[fault > 0])
     # Just before their returns, on the same rays.
     placed = scan.level.placed

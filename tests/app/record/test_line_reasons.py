@@ -1,15 +1,21 @@
 """Each line's reason is what the evidence shows, and changes with it."""
 
+import operator
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.trajectory import place_scan
 from ffmap.algorithms.scan.labelling import MethodSettings, ScanLabelling, label_scan
-from ffmap.algorithms.scan.wall_planes import Membership
+from ffmap.app.analysis.run_labels import read_clouds
+from ffmap.app.record.conditions import Condition
 from ffmap.app.record.line_reasons import (
+    LineReason,
     candidate_reasons,
     door_reasons,
     explain_lines,
@@ -17,7 +23,16 @@ from ffmap.app.record.line_reasons import (
     line_outcomes,
     scan_document,
 )
-from ffmap.blueprints.entities import LineOutcome
+from ffmap.app.record.return_reasons import ReturnReasons
+from ffmap.app.setup.inputs import find_inputs
+from ffmap.app.setup.options import RunOptions
+from ffmap.app.setup.settings import load_settings
+from ffmap.blueprints.entities import CLASSES, LineOutcome
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.bag_path import BagPath
+from ffmap.loaders.scans import SkippedScan
+from ffmap.loaders.simulator import SimulationSettings, simulate
+from ffmap.loaders.truth import read_truth
 from tests import synthetic
 
 
@@ -117,41 +132,55 @@ def outcome_as_displayed(reason: LineReason) -> LineOutcome:
     return LineOutcome.DOOR if hold(reason.door) else LineOutcome.WALL
 
 
+Driven = list[tuple[ScanLabelling, FloatArray]]
+
+
 @pytest.fixture(scope="module")
-def driven(tmp_path_factory: pytest.TempPathFactory) -> list[ScanLabelling]:
-    """Scans of a simulated drive past furniture and doors, each with two kinds of settings."""
-    path = tmp_path_factory.mktemp("drive") / "drive.bag"
-    simulate(path, SimulationSettings(building="small", seed=2, sensor="vlp16", duration_s=6.0))
-    inputs = find_inputs(BagPath((path,)), RunOptions())
-    strict = ["wall_planes.similarity_m=0.004", "wall_planes.reach_m=0.03"]
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Driven:
+    """Scans of a simulated drive and their returns, with the usual and with stricter settings."""
+    path = BagPath((tmp_path_factory.mktemp("drive") / "drive.bag",))
+    drive = SimulationSettings(building="small", seed=2, sensor="vlp16", duration_s=6.0)
+    simulate(path.parts[0], drive)
+    lidars = [own.lidar for own in find_inputs(path, RunOptions()).verticals]
+    with open_bag(path) as bag:
+        truth = read_truth(bag)
+    assert truth is not None
+    assert truth.trajectory is not None
+    walls = "similarity_m=0.004", "reach_m=0.03", "lines_min=6"
+    strict = [f"wall_planes.{own}" for own in walls] + ["doors.recess_min_m=0.04"]
+    few = ["vertical_structures.points_min=170"]
+    settings = [load_settings(None, own).method for own in ([], strict, few)]
     found = []
-    for overrides in ([], [*strict, "doors.recess_min_m=0.04", "wall_planes.lines_min=6"]):
-        settings = load_settings(None, overrides)
-        poses = estimate_poses(inputs, None, settings, lambda: "")
-        for number in range(0, 60, 6):
-            found.append(label_number(number, inputs, settings, poses))
+    for number, place, scan in read_clouds(path, lidars):
+        if number % 6 == 3 and not isinstance(scan, SkippedScan):
+            placed = place_scan(scan, truth.trajectory, lidars[place].T_base_sensor)
+            labelled = [label_scan(scan, placed, own, number) for own in settings]
+            found += [(own, placed.points_level) for own in labelled]
+    assert len(found) > 10
     return found
 
 
-def test_conditions_as_displayed_give_the_outcome(driven: list[ScanLabelling]) -> None:
+def test_conditions_as_displayed_give_the_outcome(driven: Driven) -> None:
     outcomes, names = set(), set()
-    for labelling in driven:
+    for labelling, _ in driven:
         reasons = explain_lines(labelling)
         shown = [outcome_as_displayed(reason) for reason in reasons]
         assert shown == line_outcomes(labelling).tolist()
         assert shown == [reason.outcome for reason in reasons]
         outcomes |= set(shown)
         names |= {
-            own.name.removesuffix(" (lower)") for reason in reasons
-            for own in reason.conditions if not own.met and own.decides
+            own.name.removesuffix(" (lower)")
+            for reason in reasons
+            for own in reason.conditions
+            if not own.met and own.decides
         }
     assert outcomes == set(LineOutcome)
     assert len(names) > 8, names
 
 
-def test_a_setting_at_its_turning_value_turns_the_condition(driven: list[ScanLabelling]) -> None:
+def test_a_setting_at_its_turning_value_turns_the_condition(driven: Driven) -> None:
     turned = set()
-    for labelling in driven:
+    for labelling, _ in driven:
         conditions = [own for reason in explain_lines(labelling) for own in reason.conditions]
         for own in conditions:
             value = own.turning_value
@@ -166,8 +195,25 @@ def test_a_setting_at_its_turning_value_turns_the_condition(driven: list[ScanLab
     assert len(turned) > 10, turned
 
 
-def test_returns_have_the_labels_of_their_conditions(driven: list[ScanLabelling]) -> None:
-    raise NotImplementedError
+def test_returns_have_the_labels_of_their_conditions(driven: Driven) -> None:
+    shown: set[str] = set()
+    for labelling, points_level in driven:
+        reasons = ReturnReasons(labelling, points_level)
+        texts = reasons.short()
+        assert all(texts)
+        rows = reasons.rows()
+        counts = np.bincount(labelling.label, minlength=len(Label))
+        for label in Label:
+            own = [row for row in rows if row[1] == CLASSES[label][0]]
+            assert sum(int(row[0].replace(",", "")) for row in own) == counts[label]
+            shown |= {row[2][:20] for row in own}
+        # The condition of each group's median return, and so of more than its own.
+        assert all(row[5] == "yes" for row in rows)
+        surfaces = reasons.surface_rows
+        assert len(surfaces) == 1 + len(labelling.ceilings)
+        assert int(surfaces[0][4].replace(",", "")) == counts[Label.FLOOR]
+        assert "distance from the floor: " in texts[int(np.argmax(labelling.label == Label.FLOOR))]
+    assert len(shown) > 5, shown
 
 
 def test_a_scan_with_few_returns_is_explained_too() -> None:
