@@ -91,8 +91,8 @@ class LabelledArray:
 
         rerun: the module `rerun` or a RecordingStream; None for the current recording.
         """
-        document = scan_document("Labelled array", [], self.labelling, self.reasons, None)
-        scan = ExplainedScan(self.level, self.labelling, self.reasons, None, document, None)
+        document = f"# Labelled array\n\n{scan_document(self.labelling, self.reasons)}"
+        scan = ExplainedScan(self.level, self.labelling, self.reasons, document)
         log_into(rerun, layout_of(scan), lambda log: log_explained(log, scan))
 
 

@@ -85,9 +85,9 @@ class Fault(IntEnum):
 
 
 FAULT_CLASSES: dict[int, tuple[str, Color]] = {
-    Fault.OF_THE_SCAN: ("wrong, as the scan labelled it", (0, 235, 235)),
-    Fault.OF_THE_BUILDING: ("wrong, as the building changed it", (255, 180, 205)),
-    Fault.RELABELLED: ("changed by the building", (0, 235, 235)),
+    Fault.OF_THE_SCAN: ("wrong, as the scan labelled it", (0, 190, 205)),
+    Fault.OF_THE_BUILDING: ("wrong, as the building changed it", (255, 105, 180)),
+    Fault.RELABELLED: ("changed by the building", (0, 190, 205)),
 }
 """Colours that nothing else in the view has."""
 
@@ -110,7 +110,9 @@ AGREEMENTS: dict[int, tuple[str, Color]] = {
 }
 """Name and colour of each result of a comparison of two maps (Fig. 9e)."""
 
-TRUTH_COLOR: Color = (235, 238, 245)
+TRUTH_COLOR: Color = (0, 190, 160)
+SELECTED_COLOR: Color = (165, 85, 255)
+"""The line of the curve. Like all colours, it is visible on dark and on light ground."""
 UPMOST_COLOR: Color = (46, 204, 87)
 BOTTOMMOST_COLOR: Color = (255, 140, 0)
 LOOP_COLOR: Color = (0, 190, 160)

@@ -7,13 +7,13 @@ from ffmap.blueprints.entities import FURNITURE_FREE, GRID
 from ffmap.blueprints.views import ROBOT, from_above, space
 
 _TITLES = {
-    FURNITURE_FREE: "Furniture-free (Fig. 9b): wall black, free white, unseen gray",
+    FURNITURE_FREE: "Furniture-free (Fig. 9b): wall black, unseen gray",
     Rival.BELOW_CEILING: "Slice below the ceiling (Fig. 9c)",
     Rival.MIDDLE: "Slice in the middle (Fig. 9d)",
     Rival.UPMOST: "Up-most structures (Fig. 6a)",
     Rival.BOTTOMMOST: "Bottom-most structures (Fig. 6b)",
 }
-_OVERLAY = "Overlay (Fig. 9e): wall in both green, map only red, ground truth only orange"
+_OVERLAY = "Fig. 9e: right green, false red, missed orange"
 
 
 def tab(centre_m: tuple[float, float], extent_m: float, compared: bool) -> rrb.Container:
@@ -24,4 +24,6 @@ def tab(centre_m: tuple[float, float], extent_m: float, compared: bool) -> rrb.C
         overlay = f"/world/overlay/{FURNITURE_FREE}/**"
         shown.insert(1, (_OVERLAY, [f"{GRID}/{FURNITURE_FREE}", overlay]))
     views = [space(title, [*contents, *ROBOT], eye) for title, contents in shown]
-    return rrb.Grid(*views, grid_columns=3, name="Maps")
+    first = len(views) // 2
+    rows = rrb.Horizontal(*views[:first]), rrb.Horizontal(*views[first:])
+    return rrb.Vertical(*rows, name="Maps")

@@ -21,9 +21,7 @@ _COMPARED = {
 }
 
 
-def build(
-    centre_m: tuple[float, float], extent_m: float, grid: str = SEGMENTED
-) -> rrb.Blueprint:
+def build(centre_m: tuple[float, float], extent_m: float, grid: str = SEGMENTED) -> rrb.Blueprint:
     """Return the layout of a recording of one segmented map.
 
     centre_m, extent_m: of the view. grid: name of the map.
@@ -52,10 +50,8 @@ def tab(
     evidence = [_topology(centre_m, extent_m), cut]
     if not compared:
         rooms = areas("/world/rooms", grid, "Rooms and their areas; passages red")
-        return rrb.Horizontal(
-            rooms, rrb.Vertical(*evidence), column_shares=[3, 2], name="Rooms"
-        )
-    title = "Furniture-free map (Fig. 10): rooms and their areas; passages red"
+        return rrb.Horizontal(rooms, rrb.Vertical(*evidence), column_shares=[3, 2], name="Rooms")
+    title = "Furniture-free map (Fig. 10); passages red"
     rooms_of_maps = [
         areas("/world/rooms", grid, title),
         *(areas(f"{ROOMS_COMPARED}/{name}", Rival.MIDDLE, t) for name, t in _COMPARED.items()),

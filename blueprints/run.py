@@ -91,21 +91,22 @@ def _overview(
     names = None if growing else WITHOUT_NAMES
     detected: list[Part] = [_scan("Wall planes and doors of the scan", [PLANES, OPENINGS], names)]
     if lines:
-        title = "Point lines and wall planes; white: the line of the curve"
+        title = "Lines, wall planes; violet: line of the curve"
         scan = _scan(title, ["/scan/lines/**", PLANES, OPENINGS], names)
         detected = [scan, differences(_DIFFERENCES)]
+    labels = (
+        "Labels by the scan alone; final ones follow" if growing else "Final labels of the scan"
+    )
     lidar = [text("/scan/lidar", "Lidar of the scan")] if several_lidars else []
     return rrb.Vertical(
         rrb.Horizontal(_label_legend(), _glance(), *lidar),
-        rrb.Horizontal(
-            _scan("Labelled scan", [POINTS, OPENINGS]), _map(centre_m, extent_m, growing)
-        ),
+        rrb.Horizontal(_scan(labels, [POINTS, OPENINGS]), _map(centre_m, extent_m, growing)),
         rrb.Horizontal(
             *detected,
             _grid(centre_m, extent_m, growing),
             column_shares=[1, 1.25, 1] if lines else [1, 1],
         ),
-        row_shares=[1, 5, 5],
+        row_shares=[1.8, 5, 5],
         name="At a glance",
     )
 
@@ -145,7 +146,7 @@ def _grid(centre_m: Centre, extent_m: float, growing: bool = False) -> rrb.Spati
     return space(
         "From above; the grid map follows"
         if growing
-        else "Grid map: wall black, free white, unseen gray; doors blue",
+        else "Grid map: wall black, unseen gray, door blue",
         [
             _FURNITURE_FREE_GRID,
             "/world/building/sills",
@@ -169,20 +170,16 @@ def _step_by_step() -> rrb.Container:
                 {POINTS: upright},
             ),
             _scan(
-                "2. Point lines (Fig. 5a): green wall, blue above a door, orange refused",
+                "2. Fig. 5a: wall green, door blue, refused orange",
                 ["/scan/lines/**"],
             ),
             differences(f"3. {_DIFFERENCES}"),
         ),
         rrb.Horizontal(
-            _scan("4. Up-most structures: candidates (Fig. 6a)", [upmost]),
-            _scan("5. Bottom-most, for comparison (Fig. 6b)", ["/scan/candidates/bottommost"]),
-            _scan(
-                "6. Wall planes grown (Fig. 7); gray: refused", [upmost, PLANES], {upmost: by_plane}
-            ),
-            _scan(
-                "7. Door conditions: 1 gray, 1–2 orange, all 3 blue", ["/scan/doors/**", PLANES]
-            ),
+            _scan("4. Fig. 6a: up-most structures", [upmost]),
+            _scan("5. Fig. 6b: bottom-most ones", ["/scan/candidates/bottommost"]),
+            _scan("6. Fig. 7: planes; refused gray", [upmost, PLANES], {upmost: by_plane}),
+            _scan("7. Door: 1 gray, 2 orange, 3 blue", ["/scan/doors/**", PLANES]),
         ),
         name="Step by step",
     )
@@ -221,7 +218,7 @@ def _building(centre_m: Centre, extent_m: float, first: bool) -> rrb.Container:
         rrb.Horizontal(
             cloud, rrb.Vertical(_grid(centre_m, extent_m), reasons), column_shares=[3, 2]
         ),
-        row_shares=[1, 12],
+        row_shares=[2, 12],
         name="Building",
     )
 
@@ -232,17 +229,17 @@ def _poses(eye: rrb.EyeControls3D | None, registered: bool) -> Part:
         return space("Trajectory as given", ROBOT, eye)
     quality = (
         ("weak", "Alarm: registration is weak (1 yes, 0 no)", (-0.1, 1.1)),
-        ("refined_inlier_share", "Share of the sweep that fits the map (0 to 1)", (0.0, 1.05)),
-        ("weakest_share", "Constraint of the weakest direction / of the best", (0.0, 1.05)),
+        ("refined_inlier_share", "Share of the sweep that fits the map", (0.0, 1.05)),
+        ("weakest_share", "Constraint: weakest / best direction", (0.0, 1.05)),
         ("loops_moved_m", "Correction of the pose by loop closure, m", None),
-        ("residual_m", "KISS-ICP: median distance to the local map, m", None),
-        ("correction_m", "KISS-ICP: correction of the predicted pose, m", None),
+        ("residual_m", "KISS-ICP: median distance to the map, m", None),
+        ("correction_m", "KISS-ICP: correction of the prediction, m", None),
         ("threshold_m", "KISS-ICP: adaptive threshold, m", None),
         ("milliseconds", "Registration of a sweep, milliseconds", None),
     )
     return rrb.Horizontal(
         space(
-            "Registered sweep yellow, its local map gray; trajectory blue, loops teal",
+            "Sweep yellow, local map gray; trajectory blue, loops teal",
             ["/world/odometry/**", "/world/pose_graph/**", entities.TRAJECTORY],
             eye,
         ),
@@ -253,6 +250,7 @@ def _poses(eye: rrb.EyeControls3D | None, registered: bool) -> Part:
             ),
             grid_columns=2,
         ),
+        column_shares=[2, 3],
         name="Odometry",
     )
 
@@ -276,7 +274,7 @@ def _curves(origin: str, names: Sequence[str], title: str) -> rrb.TimeSeriesView
 
 def _metrics() -> rrb.Container:
     counts, ranges, stages = "/metrics/counts", "/metrics/ranges", "/metrics/milliseconds"
-    labels = "Number of returns of each label in each scan"
+    labels = "Returns of each label in each scan, by the scan alone (label_scan)"
     lines = "lines", "structures", "candidates", "door_lines"
     return rrb.Vertical(
         rrb.TimeSeriesView(origin="/metrics/labels", name=labels),
@@ -295,7 +293,7 @@ def _metrics() -> rrb.Container:
             )
         ),
         _warnings(),
-        row_shares=[3, 3, 2, 2, 2],
+        row_shares=[6, 4, 2.3, 2.3, 2],
         name="Metrics and warnings",
     )
 
@@ -323,7 +321,7 @@ def _evaluation(centre_m: Centre, extent_m: float, scans: bool, evaluated: bool)
     ]
     if scans:
         parts.append(_errors_over_time())
-    where = rrb.Vertical(*parts, row_shares=[1.2, 10, 2.5][: len(parts)], name="Errors")
+    where = rrb.Vertical(*parts, row_shares=[2, 10, 3][: len(parts)], name="Errors")
     if not evaluated:
         about = text("/evaluation/help", "What this needs")
         return rrb.Tabs(about, figures, where, active_tab=0, name="Evaluation")
@@ -354,14 +352,14 @@ def _errors_over_time() -> rrb.Container:
     kinds = {
         "Walls": (Verdict.FALSE_WALL, Verdict.MISSED_WALL),
         "Doors": (Verdict.FALSE_DOOR, Verdict.MISSED_DOOR),
-        "Other labels": (Verdict.OTHER,),
+        "Other": (Verdict.OTHER,),
     }
     return rrb.Horizontal(
         *(
             rrb.TimeSeriesView(
                 origin="/metrics/errors",
                 contents=[entities.scan_error(verdict) for verdict in verdicts],
-                name=f"{what}: wrong returns in each scan, %",
+                name=f"{what}: wrong returns, %",
             )
             for what, verdicts in kinds.items()
         )

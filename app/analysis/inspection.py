@@ -43,7 +43,7 @@ from ffmap.loaders.truth import TruthClasses, read_truth
 
 CHANGE_HEADINGS = (
     *("returns", "wrong", "by the scan → final", "reason", "to the nearest face"),
-    *("setting", "turns at"),
+    *("turns at", "setting"),
 )
 
 
@@ -293,8 +293,8 @@ def _change_rows(
                 f"{entities.CLASSES[before][0]} → {entities.CLASSES[after][0]}",
                 REASONS[reason],
                 centimetres(median_m) if np.isfinite(median_m) else "–",
-                setting,
                 turns_at,
+                setting,
             )
         )
     return changes

@@ -99,18 +99,18 @@ def inspect(
     if line is None:
         if inspected.changes:
             title = "Why the building changed its labels"
-            _print(title, CHANGE_HEADINGS, inspected.changes, (2, 3, 5, 6), (5,))
+            _print(title, CHANGE_HEADINGS, inspected.changes, (2, 3, 5, 6), (6,))
         _print("Floor and ceilings", SURFACE_HEADINGS, of_returns.surface_rows, (0,))
         _print("Outcomes of its lines", ("lines", "outcome"), count_outcomes(reasons), (1,))
     if opened is not None:
         reason, own = reasons[opened], lines.of(opened)
         title = f"{name_of(reason.line)}: {LINE_OUTCOMES[reason.outcome][0]}"
         conditions = [own.row for own in reason.conditions]
-        _print(title, HEADINGS, conditions, range(6), (4,))
+        _print(title, HEADINGS, conditions, range(6), (5,))
         typer.echo(f"{reason.sentence}\n{_MARKDOWN.sub('', NOTE)}")
         _print("Labels of its returns", *label_counts(inspected, own), (0, 1))
         title = "Why its returns have their labels by the scan (median return)"
-        _print(title, ("returns", "label", *HEADINGS), of_returns.rows(own), range(1, 8), (6,))
+        _print(title, ("returns", "label", *HEADINGS), of_returns.rows(own), range(1, 8), (7,))
     typer.echo(f"recording: {target}  (open it: ffmap view {target}; move the timeline 'line')")
     if spawn:
         open_viewer(target)
@@ -142,7 +142,8 @@ def _returns_in_markdown(inspected: InspectedScan, of_returns: ReturnReasons, li
     if not len(own):
         return ""
     labels, why = table(*label_counts(inspected, own)), of_returns.document(own)
-    return f"{labels}\n\n## Why its returns have their labels by the scan (median return)\n\n{why}"
+    why_heading = "## Why its returns have their labels by the scan (median return)"
+    return "\n\n".join(("## Labels of its returns", labels, why_heading, why))
 
 
 def _document(

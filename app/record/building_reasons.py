@@ -9,11 +9,12 @@ from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.tables import fields_table, table
 
 REFUSALS: dict[int, str] = {
-    FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
-    FaceVerdict.HANGS: "rays pass below it (a duct, a beam)",
+    FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling, or beside it above a longer part "
+    "(a leaf, a cupboard)",
+    FaceVerdict.HANGS: "rays pass below it, or the robot drove along it (a duct, a beam)",
     FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, "
     "and it ends below the ceiling (a side of furniture)",
-    FaceVerdict.LEANS: "it crosses a wall at a small angle (an open leaf)",
+    FaceVerdict.LEANS: "it crosses a face that far more scans saw, at a small angle (an open leaf)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (a house across the street)",
     FaceVerdict.MIRRORED: "it is seen past a window alone (a reflection of another wall)",
     FaceVerdict.FOLDED: "it is before and behind its plane by turns (a curtain)",

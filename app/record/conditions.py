@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.scan.labelling import MethodSettings
 
-HEADINGS = "condition", "measured", "limit", "met", "setting", "turns at"
+HEADINGS = "condition", "measured", "limit", "met", "turns at", "setting"
 NOTE = (
     "*turns at*: the value of the setting, all else equal, at which the condition turns. "
     "In brackets: it does not decide the outcome of the line."
@@ -18,7 +18,7 @@ NOTE = (
 
 _COMPARISONS = {"<": operator.lt, "≤": operator.le, ">": operator.gt, "≥": operator.ge}
 _TIMES = {"cm": 100.0, "m": 1.0, "%": 100.0}
-_DIGITS = {"cm": 1, "m": 2}
+_DIGITS = {"cm": 1, "m": 2, "%": 0}
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Condition:
     """One condition of the method, as it was decided.
 
     measured: NaN if there was nothing to measure. unit: of both numbers; "m" or "%" (of 1).
-    setting: None for a constant. note: on the measured number, or why there is none.
+    setting: None for a constant. note: on the measured number, or why it is missing.
     otherwise: the exception by which the condition holds all the same. decides: the outcome of the
     line depends on it.
     """
@@ -129,7 +129,7 @@ class Condition:
         setting = "constant" if self.setting is None else self.setting.assignment
         met = "yes" if self.met else "no"
         met = met if self.decides else f"({met})"
-        return self.name, self.measured_text, self.limit_text, met, setting, self.turning_text
+        return self.name, self.measured_text, self.limit_text, met, self.turning_text, setting
 
     def _holds(self, measured: float, limit: float) -> bool:
         # Not converted: a float32 is compared as the method compares it.
@@ -148,7 +148,8 @@ class Condition:
         space = "" if unit in ("", "%") else " "
         holds, times = self._holds(self.measured, self.limit), _TIMES.get(unit, 1.0)
         pair = "", ""
-        for digits in range(_DIGITS.get(unit, 0), 12):
+        whole = self.setting is None or self.setting.is_integer
+        for digits in range(_DIGITS.get(unit, 0 if whole else 2), 12):
             pair = f"{times * self.measured:.{digits}f}", f"{times * self.limit:.{digits}f}"
             if math.isnan(self.measured) or self._holds(*map(float, pair)) == holds:
                 break

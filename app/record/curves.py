@@ -22,7 +22,7 @@ from ffmap.app.record.shapes import (
     ui_radius,
     words,
 )
-from ffmap.blueprints.entities import BOTTOMMOST_COLOR, UPMOST_COLOR, Color
+from ffmap.blueprints.entities import BOTTOMMOST_COLOR, SELECTED_COLOR, UPMOST_COLOR, Color
 
 _WIDTH, _IMAGE_WIDTH, _GAP = 640.0, 305.0, 30.0
 _MIDDLE, _HALF = -100.0, 64.0
@@ -32,7 +32,6 @@ _LIMIT = 4.0
 _FRAME_COLOR: Color = (70, 74, 82)
 _THRESHOLD_COLOR: Color = (240, 60, 60)
 _CURVE_COLOR: Color = (110, 150, 225)
-_WHITE: Color = (255, 255, 255)
 
 _BOUNDS = (-4.0, -3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
 """Between the colours of differences, in units of the threshold."""
@@ -88,19 +87,19 @@ def log_curve_styles(log: Log, slope_max: float) -> None:
     log.static("/scan/differences/threshold/values", words(limits, names, _THRESHOLD_COLOR))
     for path, color, radius, order in (
         ("/scan/differences/curve", _CURVE_COLOR, 1.0, 30.0),
-        ("/scan/differences/curve/slope", _WHITE, 1.0, 50.0),
-        ("/scan/differences/curve/column", _WHITE, 1.5, 60.0),
+        ("/scan/differences/curve/slope", SELECTED_COLOR, 1.0, 50.0),
+        ("/scan/differences/curve/column", SELECTED_COLOR, 1.5, 60.0),
     ):
         log.static(path, strip_style_2d(color, radius, order))
     log.static("/scan/differences/curve/structures", rr.Boxes2D.from_fields(radii=ui_radius(1.5)))
     name = rr.Points2D.from_fields(
-        positions=[(70.0, foot - 26.0)], radii=0.0, colors=TEXT_COLOR, show_labels=True
+        positions=[(120.0, foot - 26.0)], radii=0.0, colors=TEXT_COLOR, show_labels=True
     )
     log.static("/scan/differences/curve/name", name)
     titles = {
-        (_WIDTH / 2, top - 26.0): "one line, foot left: eq. 2 blue, deciding slope white",
-        (_IMAGE_WIDTH / 2, -22.0): "all lines, foot below: eq. 2",
-        (_WIDTH - _IMAGE_WIDTH / 2, -22.0): "up-most green, bottom-most orange",
+        (_WIDTH / 2, top - 26.0): "one line, foot left: eq. 2 blue, deciding slope violet",
+        (_IMAGE_WIDTH / 2, -22.0): "all lines: eq. 2",
+        (_WIDTH - _IMAGE_WIDTH / 2, -22.0): "up-most green, lowest orange",
     }
     log.static("/scan/differences/titles", words(list(titles), list(titles.values())))
 

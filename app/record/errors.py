@@ -36,7 +36,7 @@ LEGEND = (
     *(entities.VERDICTS[v] for v in (Verdict.FALSE_WALL, Verdict.MISSED_WALL)),
     *(entities.VERDICTS[v] for v in (Verdict.FALSE_DOOR, Verdict.MISSED_DOOR)),
     ("other wrong label", entities.VERDICTS[Verdict.OTHER][1]),
-    ("right point, door not passed", entities.VERDICTS[Verdict.RIGHT][1]),
+    ("right, not passed", entities.VERDICTS[Verdict.RIGHT][1]),
 )
 _ERRORS = [verdict for verdict in Verdict if verdict != Verdict.RIGHT]
 _LIFT_M = 0.03
@@ -94,7 +94,7 @@ def write_layer(
 def _log_doors(
     log: Log, doors: TrueDoors, compared: tuple[FoundDoors, DoorComparison] | None
 ) -> None:
-    """True doors: white found, orange missed, gray not passed; invented doors red."""
+    """True doors: teal found, orange missed, gray not passed; invented doors red."""
     colors: list[entities.Color] = [entities.TRUTH_COLOR] * len(doors)
     labels = [f"{DoorState(state).name.lower()} door" for state in doors.state]
     if compared is not None:

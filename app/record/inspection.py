@@ -38,14 +38,15 @@ from ffmap.blueprints.entities import (
     DOOR_COLOR,
     FAULT_CLASSES,
     POINTS,
+    SELECTED_COLOR,
     UPMOST_COLOR,
     WALL_COLOR,
     Color,
     Fault,
 )
 
-_SIGHT_COLOR = (255, 255, 255, 45)
-_GROWING_COLOR: Color = (190, 120, 255)
+_SIGHT_COLOR = (*SELECTED_COLOR, 45)
+_GROWING_COLOR: Color = (200, 140, 90)
 _OTHER_COLOR: Color = (120, 140, 170)
 TRUE_CLASSES = {int(own): own.name.lower().replace("_", " ") for own in Truth}
 """Name of each class of the ground truth."""
@@ -81,22 +82,22 @@ class ScanFaults:
 class ExplainedScan:
     """One scan with its explanation.
 
+    document: on the whole scan, in Markdown. line: the line at which the recording opens.
+    notes: on the returns of each line, in Markdown. faults: of the final labels.
     final, truth: (n,) final label and true class of each return. why_changed: half a line on each
-    change by the building, "" without one. faults: of the final labels. None if unknown.
-    notes: of each line, in Markdown. document: on the whole scan, in Markdown.
-    line: the line at which the recording opens.
+    change by the building, "" without one. All are None if unknown.
     """
 
     level: LevelledScan
     labelling: ScanLabelling
     reasons: Sequence[LineReason]
-    final: UInt8Array | None
-    truth: UInt8Array | None
-    why_changed: Sequence[str] | None
-    faults: ScanFaults | None
-    notes: Sequence[str]
     document: str
-    line: int | None
+    line: int | None = None
+    notes: Sequence[str] | None = None
+    faults: ScanFaults | None = None
+    final: UInt8Array | None = None
+    truth: UInt8Array | None = None
+    why_changed: Sequence[str] | None = None
 
 
 def write(out: Path, recording_id: str, scan: ExplainedScan) -> None:
@@ -237,8 +238,8 @@ class _Lines:
     def log_line(self, reason: LineReason) -> None:
         """Log one line: why it became what it is, in space, and its profile."""
         line = reason.line
-        notes = f"{self._log_faults(line)}\n\n{self._notes[line]}"
-        document = line_document(self._labelling, reason, notes)
+        note = "" if self._notes is None else self._notes[line]
+        document = line_document(self._labelling, reason, self._log_faults(line), note)
         markdown = [rr.MediaType.MARKDOWN]
         self._log.row("/why/line", rr.TextDocument, text=[document], media_type=markdown)
         log_example(self._log, self._points, self._labelling, line)

@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.base.scan import BoolArray, UInt8Array
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
 from ffmap.algorithms.scan.doors import (
     ABOVE_MORE_M,
     ABOVE_PER_RECESS,
@@ -132,7 +133,7 @@ def _explain(labelling: ScanLabelling, line: int, upright: int) -> LineReason:
 def _common(labelling: ScanLabelling, line: int, upright: int) -> Conditions:
     """Return the conditions up to the first that is not met."""
     settings, structures = labelling.settings, labelling.structures
-    of = f"of {labelling.lines.starts[line + 1] - labelling.lines.starts[line]} returns"
+    of = f"of {len(labelling.lines.of(line))}"
     name = "III.A: returns without floor and ceiling"
     enough = Condition(name, upright, "≥", POINTS_MIN, note=of)
     if not enough.met:
@@ -140,18 +141,31 @@ def _common(labelling: ScanLabelling, line: int, upright: int) -> Conditions:
     if labelling.lines.samples[line, 0] < 0:
         name = "III.A: returns in the middle of its sector"
         return (enough, Condition(name, 0, "≥", 1))
-    slope_max = setting_of(settings, "vertical_structures.slope_max")
+    slope, longest = "vertical_structures.slope_max", structures.longest[line]
+    points_min = settings.vertical_structures.points_min
     return (
         enough,
         Condition(
-            f"III.B, eq. 2: longest run of samples within ±{slope_max.value:g} "
-            f"({slope_max.step}.{slope_max.field}), without a jump",
-            structures.longest[line],
-            "≥",
-            settings.vertical_structures.points_min,
+            f"III.B, eq. 2: slope of its {points_min} steadiest samples",
+            _steadiest(structures.slope[line], points_min),
+            "<",
+            settings.vertical_structures.slope_max,
+            setting=setting_of(settings, slope),
+            decides=False,
+        ),
+        Condition(
+            "III.B: longest such run, without a jump",
+            *(longest, "≥", points_min),
             setting=setting_of(settings, "vertical_structures.points_min"),
         ),
     )
+
+
+def _steadiest(slope: FloatArray, count: int) -> float:
+    """Return the least bound on the slopes of `count` neighbouring samples; NaN without any."""
+    known = np.where(np.isnan(slope), np.inf, np.abs(slope))
+    least = sliding_window_view(known, count).max(axis=1).min()
+    return float(least) if np.isfinite(least) else np.nan
 
 
 def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
@@ -159,7 +173,7 @@ def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
     reach, below_m = Reach(planes.candidates.reach[c]), planes.candidates.below_ceiling_m[c]
     if np.isnan(below_m):
         return Condition(
-            "III.B: height of its top; no ceiling is in view",
+            "III.B: height of its top (no ceiling in view)",
             labelling.structures.top_m[planes.candidates.structure[c]],
             "≥",
             settings.wall_planes.height_min_m,
@@ -168,7 +182,7 @@ def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
         )
     exceptions = {
         Reach.ABOVE_CEILINGS: "above all ceilings",
-        Reach.TURNS_BACK: "next to no return of a ceiling in its line",
+        Reach.TURNS_BACK: "no ceiling in its line",
         Reach.OVERHUNG: "overhung up to a ceiling",
     }
     return Condition(
@@ -195,7 +209,7 @@ def _candidate(labelling: ScanLabelling, c: int) -> Conditions:
     which = "" if is_upmost else " (lower)"
     found = [_reaches_ceiling(labelling, c)]
     if not np.isnan(planes.candidate_distance_m[c]):
-        name = "Alg. 1, else it begins the next plane: "
+        name = "Alg. 1, joins: "
         gap_m, gap_max_m = planes.candidate_gap_m[c], planes.candidates.gap_max_m[c]
         gap = setting_of(settings, "wall_planes.gap_m")
         theta_m = planes.candidate_distance_m[c]
@@ -214,16 +228,16 @@ def _candidate(labelling: ScanLabelling, c: int) -> Conditions:
         peers = int(np.count_nonzero(grown == grown[c]))
         many = Condition("", peers, "≥", lines_min, setting=enough)
         lines, length_m, rms_m, lowest_m = planes.candidate_settled[c]
-        none = "no such plane within reach" if np.isnan(nearest_m) else ""
-        name = f"Alg. 1: Θ to the nearest plane of {lines_min} or more lines"
+        none = "none within reach" if np.isnan(nearest_m) else ""
+        name = f"Alg. 1: Θ to the nearest plane (≥ {lines_min} lines)"
         found += [
-            replace(many, name="Alg. 1: lines of the plane that it grew into", decides=False),
+            replace(many, name="Alg. 1: lines of the plane it grew into", decides=False),
             Condition(name, nearest_m, "<", similarity_m, "m", similarity, none),
             replace(many, name="Alg. 1: lines of that plane in the end", measured=lines),
             Condition("III.B: length of that plane", length_m, "≥", LENGTH_MIN_M, "m"),
             Condition("Alg. 1: RMS of that plane", rms_m, "≤", similarity_m, "m", similarity),
             Condition(
-                "III.B: lowest lower edge in that plane, else it is a duct",
+                "III.B: lower edge of that plane, else a duct",
                 *(lowest_m, "<", BOTTOM_MAX_M, "m"),
             ),
         ]
@@ -240,7 +254,7 @@ def _candidate_reason(labelling: ScanLabelling, c: int, conditions: Conditions) 
 
 
 def _in_plane(plane: int | None) -> Condition:
-    name = "III.C, door 1: planes with its up-most structure"
+    name = "III.C, door 1: planes that hold its top"
     note = "" if plane is None else f"(plane {plane})"
     return Condition(name, float(plane is not None), "≥", 1, note=note)
 
@@ -260,11 +274,11 @@ def _door(labelling: ScanLabelling, d: int) -> Conditions:
         (
             _in_plane(doors.plane[d]),
             Condition(
-                f"{name}returns at the plane and behind it", doors.return_count[d], "≥", RETURNS_MIN
+                f"{name}returns at the plane or behind", doors.return_count[d], "≥", RETURNS_MIN
             ),
             Condition(f"{name}largest step back", step_m, ">", recess_m, "m", recess, short),
             Condition(
-                f"{name}distance of the wall above from the plane",
+                f"{name}wall above, off its plane",
                 *(np.abs(doors.above_m[d]), "≤", above_max_m, "m", above),
             ),
             Condition(f"{name}depth of the rest", -doors.below_m[d], "≥", recess_m, "m", recess),
@@ -275,7 +289,7 @@ def _door(labelling: ScanLabelling, d: int) -> Conditions:
     )
     if first_unmet(conditions) is not None:
         return conditions
-    name = "III.C: depth of an open door, else it is closed"
+    name = "III.C: depth of an open door, else closed"
     return (
         *conditions,
         Condition(name, doors.depth_m[d], ">", OPEN_DEPTH_M, "m", decides=False),
@@ -310,8 +324,13 @@ def _door_reason(labelling: ScanLabelling, d: int, conditions: Conditions) -> st
     return f"above a door, {state}: {below}; {part}"
 
 
-def line_document(labelling: ScanLabelling, reason: LineReason, note: str = "") -> str:
-    """Return one line's conditions in Markdown. note: added below the heading."""
+def line_document(
+    labelling: ScanLabelling, reason: LineReason, note: str = "", returns: str = ""
+) -> str:
+    """Return one line's conditions in Markdown.
+
+    note: below the heading. returns: on its returns, below the conditions.
+    """
     structures = labelling.structures
     roles = {"up-most": structures.upmost, "bottom-most": structures.bottommost}
     rows = [
@@ -329,6 +348,7 @@ def line_document(labelling: ScanLabelling, reason: LineReason, note: str = "") 
         note,
         table(HEADINGS, [own.row for own in reason.conditions]).replace("| no |", "| **no** |"),
         NOTE,
+        returns,
         f"## Its vertical structures, upwards\n\n{table(headings, rows)}" if rows else "",
     ]
     return "\n\n".join(part for part in parts if part)

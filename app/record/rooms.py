@@ -15,9 +15,9 @@ from ffmap.algorithms.maps.grid import GridMap
 from ffmap.app.folder.pictures import room_color, room_middle
 from ffmap.app.record.building import log_grid
 from ffmap.app.record.log import Log, evidence, open_log
-from ffmap.app.record.shapes import at_height, strips, ui_radius
+from ffmap.app.record.shapes import TEXT_COLOR, at_height, strips, ui_radius
 from ffmap.blueprints import rooms as rooms_blueprint
-from ffmap.blueprints.entities import GRAPH_UNITS_PER_M, SEGMENTED, TRUTH_COLOR, Color
+from ffmap.blueprints.entities import GRAPH_UNITS_PER_M, SEGMENTED, Color
 from ffmap.blueprints.views import view_of
 
 _FLOOR_M, _LINE_M, _NAME_M = 0.01, 0.04, 0.08
@@ -73,7 +73,7 @@ def log_areas(log: Log, graph: AreaGraph, root: str = "/world/rooms") -> None:
         labels = [f"{room.name}, {room.area_m2:.1f} m²" for room in graph.rooms]
         names = rr.Points3D(
             at_height(_inner_points(graph), _NAME_M),
-            colors=TRUTH_COLOR,
+            colors=TEXT_COLOR,
             labels=labels,
             show_labels=True,
             radii=ui_radius(4.0),

@@ -42,7 +42,6 @@ from ffmap.blueprints.entities import (
 
 _LINE_STEP, _SPAN_STEP, _OUTLINE_STEP = 3, 8, 13
 """Only every n-th sample of lines and candidates, and return of outlines, is drawn: size."""
-_EXAMPLE_COLOR: Color = (255, 255, 255)
 _PLANE_COLORS = packed_colors(
     *((31, 186, 140), (214, 110, 40), (126, 118, 220), (231, 60, 148)),
     *((122, 186, 40), (240, 190, 30), (90, 170, 240), (170, 110, 70)),
@@ -94,7 +93,7 @@ def log_scan_styles(log: Log, slope_max: float) -> None:
     if log.detail is Detail.SCANS:
         return
     log.static("/scan/lines", annotations(entities.LINE_OUTCOMES), strip_style(None, 0.75))
-    log.static("/scan/lines/example", strip_style(_EXAMPLE_COLOR, 3.0))
+    log.static("/scan/lines/example", strip_style(entities.SELECTED_COLOR, 3.0))
     for path, color in (
         ("/scan/candidates/upmost", entities.UPMOST_COLOR),
         ("/scan/candidates/bottommost", entities.BOTTOMMOST_COLOR),

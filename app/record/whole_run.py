@@ -26,9 +26,8 @@ from ffmap.blueprints.entities import CLASSES, Color
 
 _OWN_BODY_COLOR: Color = (255, 120, 200)
 _GLANCE_SCANS = """\
-**One scan of the vertical lidar, and the map up to it.** Move the time cursor at the bottom to \
-see other scans. Upper left: returns in the colours of their labels. Below: detection of walls. \
-Right: the result of all scans."""
+**One scan of the vertical lidar, and the map up to it.** The time cursor at the bottom selects \
+the scan. Upper left: its final labels. Below: detection of its walls. Right: all scans."""
 _GLANCE_MAP = """\
 **The building from all scans**: its cloud, walls, doors, windows, grid map, and what was measured \
 of each door. Single scans were not recorded (`--detail lines` records them)."""
@@ -72,7 +71,7 @@ def log_static(
 
 
 def _with_pointer(glance: str) -> str:
-    return f"{glance} The last tab, **Read me**, explains all tabs, colours and values."
+    return f"{glance} The last tab, **Read me**, explains the rest."
 
 
 def log_own_body(log: Log, role: str, body: OwnBody) -> None:

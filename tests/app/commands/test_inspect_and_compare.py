@@ -507,8 +507,8 @@ def test_the_worst_scan_opens_at_its_worst_line_and_names_wrong_labels(
     assert changes[0][0] in out
     assert changes[0][3].split()[-1] in out
     face = next(change for change in changes if "lies on a wall's face" in change[3])
-    assert face[5] == "relabelling.wall_distance_m=0.01"
-    assert float(face[6].removeprefix("≤ ")) < 0.01
+    assert face[6] == "relabelling.wall_distance_m=0.01"
+    assert float(face[5].removeprefix("≤ ")) < 0.01
     # The first table is of labels, the line's of its conditions, with values to turn them.
     assert out.startswith(f"Scan {scan} of other: labels of its returns")
     assert out.index("true class") < out.index("The final label")

@@ -35,11 +35,8 @@ def explained(settings: dict[str, float]) -> ExplainedScan:
     method = replace(method, wall_planes=method.wall_planes.model_copy(update=settings))
     labelling = label_scan(scan, level.placed, method, 3)
     reasons = explain_lines(labelling)
-    return ExplainedScan(
-        *(level, labelling, reasons, None, None, None, None),
-        *([f"Note {line}." for line in range(len(reasons))], "# Scan"),
-        line=5,
-    )
+    notes = [f"Note {line}." for line in range(len(reasons))]
+    return ExplainedScan(level, labelling, reasons, "# Scan", line=5, notes=notes)
 
 
 def by_line(path: Path, entity: str, component: str) -> dict[int, Any]:

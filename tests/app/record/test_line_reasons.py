@@ -89,8 +89,8 @@ def test_lines_are_explained_by_their_conditions(usual: ScanLabelling) -> None:
         ),
         (
             {"lines_min": 60},
-            "Alg. 1: Θ to the nearest plane of 60 or more lines",
-            "no such plane within reach (limit < 5.0 cm; wall_planes.similarity_m=0.05)",
+            "Alg. 1: Θ to the nearest plane (≥ 60 lines)",
+            "none within reach (limit < 5.0 cm; wall_planes.similarity_m=0.05)",
         ),
     ],
 )
@@ -123,11 +123,13 @@ def as_displayed(condition: Condition) -> bool:
 
 def outcome_as_displayed(reason: LineReason) -> LineOutcome:
     def hold(conditions: Iterable[Condition]) -> bool:
-        return all([as_displayed(own) or not own.decides for own in conditions])
+        held = [as_displayed(own) or not own.decides for own in conditions]
+        return all(held)
 
     if not hold(reason.common):
         return LineOutcome.NO_STRUCTURE
-    if not any([hold(own) for own in reason.candidates]):
+    held = [hold(own) for own in reason.candidates]
+    if not any(held):
         return LineOutcome.REFUSED
     return LineOutcome.DOOR if hold(reason.door) else LineOutcome.WALL
 
