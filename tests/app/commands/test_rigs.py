@@ -28,11 +28,7 @@ def test_a_printed_rig_is_a_rig_file_and_run_json_says_which_was_used(tmp_path: 
     mine = tmp_path / "mine.toml"
     mine.write_text(ffmap_here(environment, "rigs", "mars").stdout)
     said = {}
-    for name, options in {
-        "auto": [],
-        "named": ["--rig", "mars"],
-        "file": ["--rig", str(mine)],
-    }.items():
+    for name, options in {"auto": [], "named": ["--rig", "mars"], "file": ["--rig", str(mine)]}.items():
         info = ffmap_here(environment, "info", bag, *options)
         assert info.returncode == 0, info.stderr
         said[name] = next(line for line in info.stdout.splitlines() if "extrinsics from" in line)
