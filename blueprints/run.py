@@ -293,7 +293,7 @@ def _metrics() -> rrb.Container:
             )
         ),
         _warnings(),
-        row_shares=[6, 4, 2.3, 2.3, 2],
+        row_shares=[6, 4.5, 2.2, 2.2, 2],
         name="Metrics and warnings",
     )
 

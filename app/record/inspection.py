@@ -220,7 +220,8 @@ class _Lines:
         names, heights, colors = zip(*shown, strict=True)
         lines = [[(0.0, -height), (range_m, -height)] for height in heights]
         self._log.static("/profile/levels", strips_2d(lines, colors, 1.0, 10.0, names))
-        ticks = np.arange(1.0, range_m, 1.0)
+        step_m = max(1.0, float(np.ceil(range_m / 5.0)))
+        ticks = np.arange(step_m, range_m, step_m)
         places = np.column_stack([ticks, np.full(len(ticks), 0.25)])
         self._log.static("/profile/levels/ticks", words(places, [f"{t:g} m" for t in ticks]))
 

@@ -146,7 +146,7 @@ def _common(labelling: ScanLabelling, line: int, upright: int) -> Conditions:
     return (
         enough,
         Condition(
-            f"III.B, eq. 2: slope of its {points_min} steadiest samples",
+            f"III.B, eq. 2: slope of {points_min} steadiest samples",
             _steadiest(structures.slope[line], points_min),
             "<",
             settings.vertical_structures.slope_max,
@@ -186,7 +186,7 @@ def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
         Reach.OVERHUNG: "overhung up to a ceiling",
     }
     return Condition(
-        "III.B: distance of its top from the ceiling",
+        "III.B: its top, from the ceiling",
         np.abs(below_m),
         "<",
         settings.wall_planes.reach_m,
@@ -229,15 +229,15 @@ def _candidate(labelling: ScanLabelling, c: int) -> Conditions:
         many = Condition("", peers, "≥", lines_min, setting=enough)
         lines, length_m, rms_m, lowest_m = planes.candidate_settled[c]
         none = "none within reach" if np.isnan(nearest_m) else ""
-        name = f"Alg. 1: Θ to the nearest plane (≥ {lines_min} lines)"
+        name = f"Alg. 1: Θ to a plane of ≥ {lines_min} lines"
         found += [
-            replace(many, name="Alg. 1: lines of the plane it grew into", decides=False),
+            replace(many, name="Alg. 1: lines of the grown plane", decides=False),
             Condition(name, nearest_m, "<", similarity_m, "m", similarity, none),
-            replace(many, name="Alg. 1: lines of that plane in the end", measured=lines),
-            Condition("III.B: length of that plane", length_m, "≥", LENGTH_MIN_M, "m"),
-            Condition("Alg. 1: RMS of that plane", rms_m, "≤", similarity_m, "m", similarity),
+            replace(many, name="Alg. 1: its lines in the end", measured=lines),
+            Condition("III.B: its length", length_m, "≥", LENGTH_MIN_M, "m"),
+            Condition("Alg. 1: its RMS", rms_m, "≤", similarity_m, "m", similarity),
             Condition(
-                "III.B: lower edge of that plane, else a duct",
+                "III.B: its lower edge, else a duct",
                 *(lowest_m, "<", BOTTOM_MAX_M, "m"),
             ),
         ]

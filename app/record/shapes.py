@@ -22,7 +22,7 @@ JUMP_M = 0.4
 """Distance (m) between neighbours of a line beyond which the line is interrupted."""
 SEE_THROUGH = 90
 """Opacity of walls, of 255."""
-TEXT_COLOR: Color = (145, 150, 160)
+TEXT_COLOR: Color = (160, 165, 175)
 
 
 def markdown(text: str) -> rr.TextDocument:

@@ -84,12 +84,12 @@ def test_lines_are_explained_by_their_conditions(usual: ScanLabelling) -> None:
     [
         (
             {"reach_m": 0.001},
-            "III.B: distance of its top from the ceiling",
+            "III.B: its top, from the ceiling",
             "(limit < 0.1 cm; wall_planes.reach_m=0.001)",
         ),
         (
             {"lines_min": 60},
-            "Alg. 1: Θ to the nearest plane (≥ 60 lines)",
+            "Alg. 1: Θ to a plane of ≥ 60 lines",
             "none within reach (limit < 5.0 cm; wall_planes.similarity_m=0.05)",
         ),
     ],
