@@ -39,7 +39,7 @@ class RefinedExtrinsics:
     sigma: (7,) standard deviations: rotation about the base's x, y, z (rad), shift along them (m),
         clock (s); near 1 where the motion does not constrain it, NaN where nothing was refined.
     rms_before_m, rms_after_m: of the distances from the patches, as given and as refined.
-    returns: number of returns with a patch.
+    returns: number of returns with a patch; 0 where too few have one to refine anything.
     """
 
     T_base_sensor: FloatArray
@@ -67,16 +67,15 @@ def refine_extrinsics(
 
     patches: seen by the horizontal lidar, in the trajectory's frame. trajectory: of the base.
     scans: of the vertical lidar. agree_m: maximum RMS distance at which the given ones are kept.
-    None where too few returns have a patch.
+    None where there are too few patches or returns.
     """
     points_base, stamp_ns = _returns(scans, T_base_sensor, returns_max)
     if len(patches.centre) < _RETURNS_MIN or len(points_base) < _RETURNS_MIN:
         return None
     matched = _Matched.of(points_base, stamp_ns, trajectory, patches, REACH_M)
-    x, count = np.zeros(7), len(matched.points_base)
-    rms_before_m = _rms(matched.distances(x))
+    x, unknown, count = np.zeros(7), np.full(7, np.nan), len(matched.points_base)
+    rms_before_m = _rms(matched.distances(x)) if count else REACH_M
     if rms_before_m <= agree_m and count >= _RETURNS_MIN:
-        unknown = np.full(7, np.nan)
         return RefinedExtrinsics(T_base_sensor, 0.0, unknown, rms_before_m, rms_before_m, count)
     T_correction, clock_s = np.eye(4), 0.0
     for reach_m in _REACHES_M:
@@ -84,7 +83,7 @@ def refine_extrinsics(
         times_ns = stamp_ns + round(1e9 * clock_s)
         matched = _Matched.of(points, times_ns, trajectory, patches, reach_m)
         if len(matched.points_base) < _RETURNS_MIN:
-            return None
+            return RefinedExtrinsics(T_base_sensor, 0.0, unknown, rms_before_m, rms_before_m, 0)
         x = least_squares(
             matched.distances,
             np.zeros(7),

@@ -85,7 +85,7 @@ def _difference(figure: Figure, first: float | None, second: float | None) -> st
     text, gain = figure.difference(first, second), figure.gain(first, second)
     if gain is None or text == "=":
         return text
-    return f"{text} {'better' if gain > 0 else 'worse' if gain else '≈'}"
+    return f"{text} {'better' if gain > 0 else 'worse'}" if gain else "≈"
 
 
 def _change_tables(change: Change) -> list[Table]:

@@ -91,6 +91,13 @@ def calibrate(
                 f"{bag}: {horizontal.lidar.topic} and {unseen[0]} see too little in common; drive "
                 "between walls, and start from extrinsics within 20 deg and half a metre"
             )
+        for lidar in checked:
+            if not lidar.fits:
+                raise InputError(
+                    f"{bag}: no extrinsics of {lidar.topic} near the given ones fit: surfaces that "
+                    f"both lidars see stay {100 * lidar.found.rms_after_m:.1f} cm apart (noise: "
+                    f"{100 * lidar.own_rms_m:.1f} cm); start without them, by --from-motion"
+                )
         refined = inputs.with_mounts(mount.correction for mount in checked)
         if recording is not None:
             room = map_of(inputs, odometry, settings, _SCANS)

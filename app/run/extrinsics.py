@@ -72,15 +72,22 @@ class CheckedExtrinsics:
     @property
     def is_off(self) -> bool:
         """Whether the given extrinsics are wrong for certain."""
+        if not self.found.returns:
+            # Lidars that are where they are said to be share a quarter of their returns.
+            return not self.fits
         least = np.array([np.radians(_OFF_DEG)] * 3 + [_OFF_M] * 3 + [_OFF_S])
         off = np.abs(self.change) > np.maximum(least, _SIGMAS * self.found.sigma)
         return bool(off.any()) and self.found.rms_before_m > _BETTER * self.found.rms_after_m
 
     @property
+    def fits(self) -> bool:
+        """Whether the surfaces of both lidars agree with the extrinsics found."""
+        return not self.found.rms_after_m > _NOISE_MAX * self.own_rms_m
+
+    @property
     def is_refined(self) -> bool:
         """Whether the extrinsics found fit, and are near enough to the given ones to be used."""
-        fits = not self.found.rms_after_m > _NOISE_MAX * self.own_rms_m
-        return fits and self.off_deg <= _REFINED_DEG and self.off_m <= _REFINED_M
+        return self.fits and self.off_deg <= _REFINED_DEG and self.off_m <= _REFINED_M
 
     @property
     def off_deg(self) -> float:

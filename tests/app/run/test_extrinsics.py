@@ -68,17 +68,29 @@ def test_a_mount_that_is_off_is_refined_and_told(folder: Path) -> None:
     assert "labels equal" in inspected.stdout
 
 
-def test_a_mount_that_is_far_off_ends_the_run_before_the_odometry(folder: Path) -> None:
-    """Degrees for radians, say: the line names the transform."""
-    turned = transforms.make_transform(Rotation.from_euler("z", 20, degrees=True))
-    write_rig(folder / "far.toml", rig_of(folder / "drive.bag"), turned)
-    words = ("--out", folder / "far", "--rig", folder / "far.toml", *SHORT)
+@pytest.mark.parametrize("off", ["20 degrees", "the inverse"])
+def test_a_mount_that_is_far_off_ends_the_run_before_the_odometry(folder: Path, off: str) -> None:
+    """Degrees for radians, say; of the inverse few returns meet the other lidar's at all."""
+    rig = rig_of(folder / "drive.bag")
+    assert rig.vertical is not None
+    T = transforms.make_transform(Rotation.from_euler("z", 20, degrees=True))
+    if off == "the inverse":
+        inverse = transforms.invert(rig.vertical.T_base_sensor)
+        T = transforms.invert(rig.vertical.T_base_sensor) @ inverse
+    write_rig(folder / "far.toml", rig, T)
+    words = ("--out", folder / "far", "--overwrite", "--rig", folder / "far.toml", *SHORT)
     done = ffmap_here(with_cache(folder / "cache"), "run", folder / "drive.bag", *words)
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if line.startswith("ffmap: ")]
     assert "the transform base_link -> vertical_velodyne is wrong" in line
     assert "--from-motion" in line
     assert "odometry" not in json.loads((folder / "far" / "run.json").read_text())["timings_s"]
+    if off == "the inverse":
+        wrong = ("calibrate", folder / "drive.bag", "--rig", folder / "far.toml")
+        refused = ffmap_here(with_cache(folder / "cache"), *wrong, "--out", folder / "wrong.toml")
+        assert refused.returncode == 2
+        assert "--from-motion" in refused.stderr
+        assert not (folder / "wrong.toml").exists()
 
 
 def test_a_clock_that_is_off_is_named(tmp_path: Path) -> None:
