@@ -8,6 +8,7 @@ from ffmap.loaders.errors import CloudError
 
 _SWEEPS_OVERLAP = 1.5  # Sweeps of one lidar follow each other (1), those of two overlap (2)
 _APART_NS = 1_000_000_000  # Maximum delay between a cloud's stamp and its log time
+_EARLY_NS = 1_000_000_000  # Minimum time before the end of the drive at which a lidar ends early
 _GAPS_NAMED = 3
 
 
@@ -38,8 +39,7 @@ def stamp_problem(index: CloudIndex) -> str | None:
     if not np.any(np.diff(index.stamp_ns)):
         what = f"have the same stamp, {index.stamp_ns[0] / 1e9:.3f} s"
     return (
-        f"{index.topic}: all {len(index)} clouds {what}; record them with a driver that stamps "
-        "them"
+        f"{index.topic}: all {len(index)} clouds {what}; record them with a driver that stamps them"
     )
 
 
@@ -69,12 +69,15 @@ def clock_problem(index: CloudIndex, other: CloudIndex) -> str | None:
     return None
 
 
-def gap_problem(index: CloudIndex) -> str | None:
-    """Name the longest gaps between clouds; None without a gap."""
-    found = sorted(index.gaps, key=lambda gap: -gap[1])
+def gap_problem(index: CloudIndex, ends_ns: int) -> str | None:
+    """Name the longest gaps between clouds, and one before the end of the drive; None without."""
+    stamps_ns = index.stamp_ns[index.usable]
+    last_ns = int(stamps_ns[-1])
+    early = [(last_ns, ends_ns - last_ns)] if ends_ns - last_ns > _EARLY_NS else []
+    found = sorted([*index.gaps, *early], key=lambda gap: -gap[1])
     if not found:
         return None
-    first_ns = index.stamp_ns[index.usable][0]
+    first_ns = stamps_ns[0]
     named = ", ".join(
         f"{long_ns / 1e9:.1f} s after {(at_ns - first_ns) / 1e9:.1f} s"
         for at_ns, long_ns in found[:_GAPS_NAMED]

@@ -238,6 +238,11 @@ class _Evaluation:
             recording_id=self.run.record.recording_id,
         )
         self.lidars, self.tally = lidars, count_run(counting, workers)
+        if self.tally.without_truth and not self.tally.scans:
+            raise InputError(
+                f"{self.truth_path}: has no ground truth of any scan of {self.run.path}; give the "
+                "truth of the same drive"
+            )
         self.voxels = self.tally.voxels()
         self.metrics |= figures.tally_figures(self.tally, self.voxels)
         if self.building.elements:

@@ -73,7 +73,7 @@ class CheckedExtrinsics:
     def is_off(self) -> bool:
         """Whether the given extrinsics are wrong for certain."""
         if not self.found.returns:
-            # Lidars that are where they are said to be share a quarter of their returns.
+            # With right extrinsics, the lidars share a quarter of their returns or more.
             return not self.fits
         least = np.array([np.radians(_OFF_DEG)] * 3 + [_OFF_M] * 3 + [_OFF_S])
         off = np.abs(self.change) > np.maximum(least, _SIGMAS * self.found.sigma)

@@ -19,7 +19,7 @@ from ffmap.app.run.blocks import STAGES, VOXEL_M, Block, ScanFigures, label_bloc
 from ffmap.app.run.poses import RunPoses
 from ffmap.app.run.report import Report
 from ffmap.app.run.start import Run
-from ffmap.app.setup.inputs import commonest
+from ffmap.app.setup.inputs import commonest, counted
 from ffmap.loaders.errors import InputError
 from ffmap.loaders.scans import SkippedScan
 
@@ -153,7 +153,7 @@ def _warn(
     run: Run, scans: Sequence[ScanFigures], skipped: Sequence[SkippedScan], report: Report
 ) -> None:
     if skipped:
-        why = commonest([cloud.reason for cloud in skipped])
+        why = counted([cloud.reason for cloud in skipped])
         report.warn(f"{len(skipped)} vertical clouds skipped: {why}")
     beyond = _column(scans, "beyond_range")
     if beyond.any():

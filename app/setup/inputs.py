@@ -1,5 +1,6 @@
 """What a run reads: the bag, its lidars and the decoding of their clouds."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ from ffmap.loaders.rig import Lidar, MountCorrection, Rig
 from ffmap.loaders.scan_order import ScanOrder
 from ffmap.loaders.scans import SkippedScan, read_scans
 
-_REASONS_READ = 50
+_REASONS_READ, _REASONS_NAMED = 50, 3
 _NO_POSE = (
     "its returns are too few, or all in a line, to be registered, its times overlap those of a "
     "cloud before it, or it could not be joined to the map after a gap"
@@ -119,7 +120,8 @@ def find_inputs(
         verticals = tuple(_sensor(bag, lidar) for lidar in rig.verticals)
         clocks = [clock_problem(horizontal.index, v.index) for v in verticals if horizontal]
         lidars = {sensor.lidar.topic: sensor for sensor in (horizontal, *verticals) if sensor}
-        gaps = [gap_problem(sensor.index) for sensor in lidars.values()]
+        ends_ns = max(int(s.index.stamp_ns[s.index.usable][-1]) for s in lidars.values())
+        gaps = [gap_problem(sensor.index, ends_ns) for sensor in lidars.values()]
         return Inputs(
             bag_path=bag.path.resolve(),
             container=bag.container,
@@ -154,6 +156,16 @@ def why_skipped(bag_path: BagPath, sensor: Sensor, clouds: Sequence[int]) -> str
             for _, scan in read_scans(bag, sensor.index, number, 1, sensor.lidar.decoding):
                 reasons.append(scan.reason if isinstance(scan, SkippedScan) else _NO_POSE)
     return commonest(reasons)
+
+
+def counted(reasons: Sequence[str]) -> str:
+    """Name reasons with their numbers, the commonest first."""
+    (first, *others) = Counter(sorted(reasons)).most_common()
+    if not others:
+        return first[0]
+    named = [f"{reason} ({count})" for reason, count in (first, *others[: _REASONS_NAMED - 1])]
+    rest = sum(count for _, count in others[_REASONS_NAMED - 1 :])
+    return ", ".join([*named, f"other reasons ({rest})"] if rest else named)
 
 
 def commonest(reasons: Sequence[str]) -> str:

@@ -5,7 +5,7 @@ import pytest
 
 from ffmap.algorithms.base.scan import Scan
 from ffmap.loaders.bag import make_typestore, open_bag
-from ffmap.loaders.cloud_checks import clock_problem, stamp_problem
+from ffmap.loaders.cloud_checks import clock_problem, gap_problem, stamp_problem
 from ffmap.loaders.cloud_index import index_clouds
 from ffmap.loaders.decoding import settle_decoding
 from ffmap.loaders.scans import SkippedScan, read_scans, sample_messages
@@ -257,6 +257,13 @@ def test_clocks_that_are_apart(bag_of):
     assert "the stamps of /b are 1000.0 s behind" in problem("behind.bag", 30, 4 * 10**7, -1000)
     assert "share no time" in problem("later.bag", 10, 10**12)
     assert problem("together.bag", 10, 3 * 10**8) is None
+
+
+def test_a_lidar_that_ends_before_the_drive_is_named(bag_of):
+    index = index_clouds(bag_of(clouds("/a", 20)), "/a")
+    ends_ns = int(index.stamp_ns[-1])
+    assert gap_problem(index, ends_ns + 500_000_000) is None
+    assert "/a has no clouds for 3.0 s after 1.9 s" in gap_problem(index, ends_ns + 3 * 10**9)
 
 
 @pytest.mark.parametrize("names", [("x", "y", "z", "ring", "time"), ("x", "y", "z", "ring")])

@@ -309,6 +309,20 @@ def test_ground_truth_from_another_bag(run: tuple[Path, dict[str, Any]], tmp_pat
     assert evaluate_run(made, BagPath((with_truth,)), workers=1)["scans.counted"] == SCANS
 
 
+def test_truth_of_another_drive_leaves_the_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag_path, classes = make_truth_bag(tmp_path / "in.bag")
+    made = make_run(tmp_path / "run", bag_path, classes)
+    evaluate_run(open_run(made), workers=1)
+    figures = (made / "metrics.json").read_bytes()
+    monkeypatch.setitem(globals(), "START_NS", START_NS + 7_000_000)
+    other, _ = make_truth_bag(tmp_path / "other.bag")
+    with pytest.raises(InputError, match="truth of the same drive"):
+        evaluate_run(open_run(made), BagPath((other,)), workers=1)
+    assert (made / "metrics.json").read_bytes() == figures
+
+
 def test_a_run_without_labels_or_with_a_scan_skipped(tmp_path: Path) -> None:
     bag_path, classes = make_truth_bag(tmp_path / "in.bag")
     made = make_run(tmp_path / "run", bag_path, classes)

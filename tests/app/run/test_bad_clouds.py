@@ -71,7 +71,7 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
             (VERTICAL, 0): empty_without_layout,
             (VERTICAL, 4): with_a_return_far_away,
             (VERTICAL, 6): all_far_away,
-            (HORIZONTAL, 6): truncated,  # Number 5 is left out, as the motion is steady
+            (HORIZONTAL, 6): truncated,
         },
     )
     monkeypatch.setattr(
@@ -86,6 +86,8 @@ def test_clouds_that_are_wrong_cost_themselves_alone(
     assert counts["clouds"] - counts["scans"] == 2
     assert counts["skipped"] == {"no points": 1, "no return within 100 m (scan.range_max_m)": 1}
     assert counts["beyond_range"] == 1
+    both = "no points (1), no return within 100 m (scan.range_max_m) (1)"
+    assert f"2 vertical clouds skipped: {both}" in record["warnings"]
     warnings = "\n".join(record["warnings"])
     assert (
         "returns farther than 100 m away were left out (scan.range_max_m): 1, in 1 of" in warnings
