@@ -1,7 +1,7 @@
 """Why each point line is, or is not, in a wall or above a door: conditions with measured values."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
@@ -81,14 +81,12 @@ def line_outcomes(labelling: ScanLabelling) -> UInt8Array:
 
 def candidate_reasons(labelling: ScanLabelling) -> list[str]:
     """Return why each wall candidate was taken or refused."""
-    count = len(labelling.planes.candidates.line)
-    return [_candidate_reason(labelling, c, _candidate(labelling, c)) for c in range(count)]
+    return [_candidate_reason(labelling, c) for c in range(len(labelling.planes.candidates.line))]
 
 
 def door_reasons(labelling: ScanLabelling) -> list[str]:
     """Return why each line of a wall plane is above a door, or not."""
-    count = len(labelling.door_lines.line)
-    return [_door_reason(labelling, d, _door(labelling, d)) for d in range(count)]
+    return [_door_reason(labelling, d) for d in range(len(labelling.door_lines.line))]
 
 
 def explain_lines(labelling: ScanLabelling) -> list[LineReason]:
@@ -114,17 +112,14 @@ def _explain(labelling: ScanLabelling, line: int, upright: int) -> LineReason:
         return LineReason(line, str(unmet), common)
     planes = labelling.planes
     own = np.flatnonzero(planes.candidates.line == line).tolist()
-    candidates = tuple(_candidate(labelling, c) for c in own)
-    reasons = [
-        _candidate_reason(labelling, c, conditions)
-        for c, conditions in zip(own, candidates, strict=True)
-    ]
+    candidates = tuple(_up_to_first_unmet(_candidate(labelling, c)) for c in own)
+    reasons = [_candidate_reason(labelling, c) for c in own]
     # The door conditions are of its up-most structure.
     door_lines = np.flatnonzero(labelling.door_lines.line == line).tolist()
     if door_lines:
-        door = _door(labelling, door_lines[0])
+        door = _up_to_first_unmet(_door(labelling, door_lines[0]))
         if first_unmet(door) is None:
-            reasons.append(_door_reason(labelling, door_lines[0], door))
+            reasons.append(_door_reason(labelling, door_lines[0]))
     else:
         door = (_in_plane(None),)
     return LineReason(line, "; ".join(reasons), common, candidates, door)
@@ -168,12 +163,12 @@ def _steadiest(slope: FloatArray, count: int) -> float:
     return float(least) if np.isfinite(least) else np.nan
 
 
-def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
+def _reaches_ceiling(labelling: ScanLabelling, c: int, which: str) -> Condition:
     planes, settings = labelling.planes, labelling.settings
     reach, below_m = Reach(planes.candidates.reach[c]), planes.candidates.below_ceiling_m[c]
     if np.isnan(below_m):
         return Condition(
-            "III.B: height of its top (no ceiling in view)",
+            f"III.B: height of its top (no ceiling in view){which}",
             labelling.structures.top_m[planes.candidates.structure[c]],
             "≥",
             settings.wall_planes.height_min_m,
@@ -186,7 +181,7 @@ def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
         Reach.OVERHUNG: "overhung up to a ceiling",
     }
     return Condition(
-        "III.B: its top, from the ceiling",
+        f"III.B: its top, from the ceiling{which}",
         np.abs(below_m),
         "<",
         settings.wall_planes.reach_m,
@@ -197,8 +192,8 @@ def _reaches_ceiling(labelling: ScanLabelling, c: int) -> Condition:
     )
 
 
-def _candidate(labelling: ScanLabelling, c: int) -> Conditions:
-    """Return the conditions of a wall candidate, up to the first that is not met."""
+def _candidate(labelling: ScanLabelling, c: int) -> Iterator[Condition]:
+    """Yield the conditions of a wall candidate, in the order of the method."""
     planes, settings = labelling.planes, labelling.settings
     similarity_m, lines_min = settings.wall_planes.similarity_m, settings.wall_planes.lines_min
     similarity = setting_of(settings, "wall_planes.similarity_m")
@@ -207,50 +202,35 @@ def _candidate(labelling: ScanLabelling, c: int) -> Conditions:
     # A lower structure that reaches a ceiling is a candidate too: a wall below a lintel.
     is_upmost = structure == labelling.structures.upmost[planes.candidates.line[c]]
     which = "" if is_upmost else " (lower)"
-    found = [_reaches_ceiling(labelling, c)]
-    if not np.isnan(planes.candidate_distance_m[c]):
-        name = "Alg. 1, joins: "
-        gap_m, gap_max_m = planes.candidate_gap_m[c], planes.candidates.gap_max_m[c]
-        gap = setting_of(settings, "wall_planes.gap_m")
-        theta_m = planes.candidate_distance_m[c]
-        found += [
-            Condition(
-                *(f"{name}Θ to the growing plane", theta_m, "<", similarity_m, "m", similarity),
-                decides=False,
-            ),
-            Condition(
-                *(f"{name}distance to its last line", gap_m, "<", gap_max_m, "m", gap),
-                decides=False,
-            ),
-        ]
-    if found[0].met:
-        grown, nearest_m = planes.candidate_grown, planes.candidate_nearest_m[c]
-        peers = int(np.count_nonzero(grown == grown[c]))
-        many = Condition("", peers, "≥", lines_min, setting=enough)
-        lines, length_m, rms_m, lowest_m = planes.candidate_settled[c]
-        none = "none within reach" if np.isnan(nearest_m) else ""
-        name = f"Alg. 1: Θ to a plane of ≥ {lines_min} lines"
-        found += [
-            replace(many, name="Alg. 1: lines of the grown plane", decides=False),
-            Condition(name, nearest_m, "<", similarity_m, "m", similarity, none),
-            replace(many, name="Alg. 1: its lines in the end", measured=lines),
-            Condition("III.B: its length", length_m, "≥", LENGTH_MIN_M, "m"),
-            Condition("Alg. 1: its RMS", rms_m, "≤", similarity_m, "m", similarity),
-            Condition(
-                "III.B: its lower edge, else a duct",
-                *(lowest_m, "<", BOTTOM_MAX_M, "m"),
-            ),
-        ]
-    return _up_to_first_unmet(replace(own, name=own.name + which) for own in found)
+    yield _reaches_ceiling(labelling, c, which)
+    theta_m, gap_m = planes.candidate_distance_m[c], planes.candidate_gap_m[c]
+    if not np.isnan(theta_m):
+        name = f"Alg. 1, joins: Θ to the growing plane{which}"
+        yield Condition(name, theta_m, "<", similarity_m, "m", similarity, decides=False)
+        name = f"Alg. 1, joins: distance to its last line{which}"
+        gap_max_m, gap = planes.candidates.gap_max_m[c], setting_of(settings, "wall_planes.gap_m")
+        yield Condition(name, gap_m, "<", gap_max_m, "m", gap, decides=False)
+    grown, nearest_m = planes.candidate_grown, planes.candidate_nearest_m[c]
+    peers = int(np.count_nonzero(grown == grown[c]))
+    name = f"Alg. 1: lines of the grown plane{which}"
+    yield Condition(name, peers, "≥", lines_min, setting=enough, decides=False)
+    none = "none within reach" if np.isnan(nearest_m) else ""
+    name = f"Alg. 1: Θ to a plane of ≥ {lines_min} lines{which}"
+    yield Condition(name, nearest_m, "<", similarity_m, "m", similarity, none)
+    lines, length_m, rms_m, lowest_m = planes.candidate_settled[c]
+    yield Condition(f"Alg. 1: its lines in the end{which}", lines, "≥", lines_min, setting=enough)
+    yield Condition(f"III.B: its length{which}", length_m, "≥", LENGTH_MIN_M, "m")
+    yield Condition(f"Alg. 1: its RMS{which}", rms_m, "≤", similarity_m, "m", similarity)
+    name = f"III.B: its lower edge, else a duct{which}"
+    yield Condition(name, lowest_m, "<", BOTTOM_MAX_M, "m")
 
 
-def _candidate_reason(labelling: ScanLabelling, c: int, conditions: Conditions) -> str:
+def _candidate_reason(labelling: ScanLabelling, c: int) -> str:
     planes = labelling.planes
-    unmet = first_unmet(conditions)
-    if unmet is not None:
-        return f"refused: {unmet}"
-    off = centimetres(planes.candidate_nearest_m[c])
-    return f"taken: plane {planes.candidate_plane[c]}, {off} off"
+    if planes.candidate_plane[c] >= 0:
+        off = centimetres(planes.candidate_nearest_m[c])
+        return f"taken: plane {planes.candidate_plane[c]}, {off} off"
+    return f"refused: {first_unmet(_candidate(labelling, c))}"
 
 
 def _in_plane(plane: int | None) -> Condition:
@@ -259,49 +239,33 @@ def _in_plane(plane: int | None) -> Condition:
     return Condition(name, float(plane is not None), "≥", 1, note=note)
 
 
-def _door(labelling: ScanLabelling, d: int) -> Conditions:
-    """Return the conditions of a door, up to the first that is not met, and what follows."""
+def _door(labelling: ScanLabelling, d: int) -> Iterator[Condition]:
+    """Yield the conditions of a door, in the order of the method, and what follows from them."""
     doors, settings = labelling.door_lines, labelling.settings
     recess_m, name = settings.doors.recess_min_m, "III.C, door 2: "
     recess = setting_of(settings, "doors.recess_min_m")
-    above = setting_of(settings, "doors.recess_min_m", ABOVE_PER_RECESS)
-    height_m, height = settings.doors.height_min_m, setting_of(settings, "doors.height_min_m")
-    step_m, start_m, share = doors.recess_m[d], doors.start_height_m[d], doors.on_plane_share[d]
+    yield _in_plane(doors.plane[d])
+    returns = doors.return_count[d]
+    yield Condition(f"{name}returns at the plane or behind", returns, "≥", RETURNS_MIN)
+    short = "line too short below the lintel" if np.isnan(doors.recess_m[d]) else ""
+    step = f"{name}largest step back"
+    yield Condition(step, doors.recess_m[d], ">", recess_m, "m", recess, short)
     above_max_m = ABOVE_PER_RECESS * recess_m + ABOVE_MORE_M
-    short = "line too short below the lintel" if np.isnan(step_m) else ""
-    start = "III.C, door 3: height at which it begins"
-    conditions = _up_to_first_unmet(
-        (
-            _in_plane(doors.plane[d]),
-            Condition(
-                f"{name}returns at the plane or behind", doors.return_count[d], "≥", RETURNS_MIN
-            ),
-            Condition(f"{name}largest step back", step_m, ">", recess_m, "m", recess, short),
-            Condition(
-                f"{name}wall above, off its plane",
-                *(np.abs(doors.above_m[d]), "≤", above_max_m, "m", above),
-            ),
-            Condition(f"{name}depth of the rest", -doors.below_m[d], "≥", recess_m, "m", recess),
-            Condition(f"{name}share of it on the plane", share, "≤", EXCEPTIONS_MAX, "%"),
-            Condition(start, start_m, "≥", height_m, "m", height),
-            Condition(start, start_m, "≤", HEIGHT_MAX_M, "m"),
-        )
-    )
-    if first_unmet(conditions) is not None:
-        return conditions
+    above = setting_of(settings, "doors.recess_min_m", ABOVE_PER_RECESS)
+    off_m = np.abs(doors.above_m[d])
+    yield Condition(f"{name}wall above, off its plane", off_m, "≤", above_max_m, "m", above)
+    yield Condition(f"{name}depth of the rest", -doors.below_m[d], "≥", recess_m, "m", recess)
+    share = doors.on_plane_share[d]
+    yield Condition(f"{name}share of it on the plane", share, "≤", EXCEPTIONS_MAX, "%")
+    name, start_m = "III.C, door 3: height at which it begins", doors.start_height_m[d]
+    height = setting_of(settings, "doors.height_min_m")
+    yield Condition(name, start_m, "≥", settings.doors.height_min_m, "m", height)
+    yield Condition(name, start_m, "≤", HEIGHT_MAX_M, "m")
     name = "III.C: depth of an open door, else closed"
-    return (
-        *conditions,
-        Condition(name, doors.depth_m[d], ">", OPEN_DEPTH_M, "m", decides=False),
-        Condition(
-            "III.C: neighbouring lines of its opening",
-            labelling.openings.door_line_group[d],
-            "≥",
-            settings.doors.lines_min,
-            setting=setting_of(settings, "doors.lines_min"),
-            decides=False,
-        ),
-    )
+    yield Condition(name, doors.depth_m[d], ">", OPEN_DEPTH_M, "m", decides=False)
+    name, group = "III.C: neighbouring lines of its opening", labelling.openings.door_line_group[d]
+    few, lines_min = setting_of(settings, "doors.lines_min"), settings.doors.lines_min
+    yield Condition(name, group, "≥", lines_min, setting=few, decides=False)
 
 
 def _up_to_first_unmet(conditions: Iterable[Condition]) -> Conditions:
@@ -313,11 +277,10 @@ def _up_to_first_unmet(conditions: Iterable[Condition]) -> Conditions:
     return tuple(found)
 
 
-def _door_reason(labelling: ScanLabelling, d: int, conditions: Conditions) -> str:
-    unmet = first_unmet(conditions)
-    if unmet is not None:
-        return f"no door: {unmet}"
+def _door_reason(labelling: ScanLabelling, d: int) -> str:
     doors, opening = labelling.door_lines, int(labelling.openings.door_line_opening[d])
+    if not doors.above_door[d]:
+        return f"no door: {first_unmet(_door(labelling, d))}"
     state, depth = DoorState(doors.state[d]).name.lower(), centimetres(doors.depth_m[d])
     part = f"part of opening {opening}" if opening >= 0 else "too few lines for an opening"
     below = f"{depth} deep below {doors.start_height_m[d]:.2f} m"
