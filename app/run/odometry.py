@@ -2,7 +2,9 @@
 
 import hashlib
 import json
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import pairwise
@@ -23,8 +25,12 @@ from ffmap.loaders.scans import SkippedScan, read_scans
 
 _COMPANION_NS = 200_000_000
 """Maximum age (ns) of the other lidar's scan that is registered with a horizontal one."""
+_SCANS_AHEAD = 4
 _FORMAT = 18
 """Raised whenever a change to reading or registering scans changes poses."""
+
+Read = tuple[int, Scan, Scan | None]
+"""Number of a cloud, its scan, and the companion's."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +206,8 @@ def _register(
     T_base_sensor, T_sensor_companion = sensor.lidar.T_base_sensor, None
     if companion is not None:
         T_sensor_companion = transforms.invert(T_base_sensor) @ companion.lidar.T_base_sensor
-    scans = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m)
+    read = _with_companions(inputs.bag_path, sensor, companion, settings.scan.range_max_m)
+    scans = _ahead(read)
     poses: list[FloatArray] = []
     clouds: list[FloatArray] = []
     for registration in register_scans(
@@ -218,6 +225,15 @@ def _register(
         yield close_loops(np.array(poses).reshape(-1, 4, 4), clouds, settings.pose_graph)
 
 
+def _ahead(read: Iterator[Read]) -> Iterator[Read]:
+    """Read in a thread, some scans ahead of those that are registered."""
+    with ThreadPoolExecutor(1) as thread:
+        waiting = deque(thread.submit(next, read, None) for _ in range(_SCANS_AHEAD))
+        while (item := waiting.popleft().result()) is not None:
+            waiting.append(thread.submit(next, read, None))
+            yield item
+
+
 def _companion(inputs: Inputs, settings: Settings) -> Sensor | None:
     """Choose the lidar whose scans are registered with the horizontal ones, if any."""
     refinement = settings.refinement
@@ -228,7 +244,7 @@ def _companion(inputs: Inputs, settings: Settings) -> Sensor | None:
 
 def _with_companions(
     bag_path: BagPath, sensor: Sensor, companion: Sensor | None, range_max_m: float
-) -> Iterator[tuple[int, Scan, Scan | None]]:
+) -> Iterator[Read]:
     """Read the usable scans; with each the companion's last scan that ended before it, once."""
     others = _usable_scans(bag_path, companion, range_max_m) if companion is not None else iter(())
     following = next(others, None)
