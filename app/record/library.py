@@ -13,23 +13,33 @@ from ffmap.app.record.building import log_cloud, log_grid
 from ffmap.app.record.log import Log
 from ffmap.app.record.odometry import log_odometry_styles, log_trajectory
 from ffmap.app.record.shapes import annotations, panel_mesh, strips, upright_frames
+from ffmap.app.record.whole_run import log_label_legend
 from ffmap.app.setup.outputs import Detail
-from ffmap.blueprints import run as run_blueprint
-from ffmap.blueprints.entities import CLASSES, DOOR_COLOR, FURNITURE_FREE, WALL_COLOR
-from ffmap.blueprints.views import view_of
+from ffmap.blueprints.entities import (
+    CLASSES,
+    DOOR_COLOR,
+    FURNITURE_FREE,
+    GRID,
+    STAMP_TIMELINE,
+    TRAJECTORY,
+    WALL_COLOR,
+)
+from ffmap.blueprints.views import aslant, following, layout, legend, space, view_of
 
 if TYPE_CHECKING:
     from ffmap.app.library import OpenedRun
 
+_LEGEND = "/legend/labels"
+
 
 def log_into(
     target: ModuleType | rr.RecordingStream | None,
-    layout: rrb.Blueprint,
+    shown: rrb.Blueprint,
     write: Callable[[Log], None],
 ) -> None:
-    """Log into a recording, and send it a layout.
+    """Log into a recording, and send its layout.
 
-    target: the module `rerun` or None for the current recording.
+    target: the module `rerun` or None for the current recording. shown: its layout.
     Raises RuntimeError without a current recording.
     """
     stream = target if isinstance(target, rr.RecordingStream) else rr.get_data_recording()
@@ -38,18 +48,21 @@ def log_into(
     log = Log(stream, Detail.LINES)
     write(log)
     log.send_rows()
-    rr.send_blueprint(layout, recording=stream)
+    rr.send_blueprint(shown, recording=stream)
 
 
 def building_layout(run: "OpenedRun") -> rrb.Blueprint:
     """Return the layout of a building without scans."""
-    centre_m, extent_m = view_of(run.grid)
-    return run_blueprint.build(True, centre_m, extent_m, scans=False, registered=False, lines=False)
+    shown = ["/world/building/**", "- /world/building/ceiling", f"{GRID}/**", TRAJECTORY]
+    building = space("The building (ceiling hidden)", shown, aslant(*view_of(run.grid)))
+    root = rrb.Vertical(legend(_LEGEND, "Colours of the labels", 6), building, row_shares=[1, 7])
+    return layout(root, following(STAMP_TIMELINE))
 
 
 def log_building(log: Log, run: "OpenedRun") -> None:
     """Log what a run has written: cloud, walls, doors, grid, trajectory."""
     log.static("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, annotations(CLASSES))
+    log_label_legend(log, _LEGEND)
     log_odometry_styles(log)
     if run.cloud is not None:
         log_cloud(log, *run.cloud)
