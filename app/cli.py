@@ -613,7 +613,7 @@ def rooms(
 def settings(
     name: Annotated[
         str | None,
-        Argument(metavar="[NAME]", show_default=False, help="Print the settings like this name."),
+        Argument(metavar="[WORD]", show_default=False, help="Print the settings with this word."),
     ] = None,
     every: Annotated[bool, Option("--all", help="Print all settings.")] = False,
     config: shared.Config = None,

@@ -64,6 +64,7 @@ SETTINGS: dict[int, str] = {
     Reason.ABOVE_FLOOR: "relabelling.floor_scatter_m",
     Reason.ON_LEAF: "relabelling.leaf_distance_m",
     Reason.IN_OPENING: "relabelling.opening_m",
+    Reason.AGAINST_WALL: "foreground.relief_m",
     Reason.ON_REFUSED: "relabelling.wall_distance_m",
     Reason.ON_REVEAL: "relabelling.at_reveal_m",
     Reason.ON_FACE: "relabelling.wall_distance_m",

@@ -109,7 +109,7 @@ MAIN: dict[str, tuple[str, str]] = {
 """The settings that changed figures most on simulated drives, with the reasons to raise and to
 lower them."""
 _HEADING = """\
-# The settings that change figures most. 'ffmap settings NAME' prints those with NAME in their name,
+# The settings that change figures most. 'ffmap settings WORD' prints those with WORD in their text,
 # 'ffmap settings --all' all. Scan labels reach the final labels only through the building."""
 Steps = TypeVar("Steps", MethodSettings, FusionSettings, MapsSettings)
 
@@ -292,13 +292,24 @@ def parse_value(text: str) -> Any:  # noqa: ANN401 - a TOML value
         return text
 
 
+def _description(name: str) -> str:
+    step, _, last = name.rpartition(".")
+    model = Settings.model_fields[step].annotation if step else Settings
+    return str(model.model_fields[last].description)  # type: ignore[union-attr]
+
+
+def _words(name: str) -> str:
+    """Return what a setting is found by: its name, its description, and when to change it."""
+    return " ".join((name, _description(name), *MAIN.get(name, ()))).lower()
+
+
 def as_toml(settings: Settings, name: str | None = None, every: bool = False) -> str:
     """Format settings as TOML, each with its description and what it acts on.
 
     By default those of `MAIN` and those that are not at their defaults.
 
     Args:
-        name: those whose names contain it. every: all.
+        name: those whose names or descriptions contain it. every: all.
 
     Raises InputError if no setting is called like this.
     """
@@ -306,18 +317,19 @@ def as_toml(settings: Settings, name: str | None = None, every: bool = False) ->
     changed = [own for own, value in values.items() if value != usual[own]]
     names, lines = list(dict.fromkeys([*MAIN, *changed])), [_HEADING]
     if name is not None or every:
-        names, lines = [own for own in values if every or (name or "") in own], []
+        wanted = (name or "").lower()
+        names, lines = [own for own in values if every or wanted in _words(own)], []
     if not names:
         raise InputError(f"no setting {shortened(name or '')!r}; {_suggestion(name or '')}")
     group = None
     for own in names:
-        step, _, last = own.rpartition(".")
+        step = own.rpartition(".")[0]
         model = type(getattr(settings, step)) if step else Settings
         acts = f"Acts on {acts_on(own)}."
         if every and step != group:
             heading = (model.__doc__ or "").strip().splitlines()[0] if step else "Random numbers."
             lines += ["", f"# --- {heading} {acts}"]
-        group, description = step, str(model.model_fields[last].description)
+        group, description = step, _description(own)
         lines += [f"# {description}"] if every else ["", f"# {description} {acts}"]
         if own in MAIN:
             higher, lower = MAIN[own]
