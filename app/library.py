@@ -21,6 +21,7 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.labelling import label_scan as label_placed_scan
 from ffmap.algorithms.scan.point_lines import COLUMN_PAIRS
 from ffmap.algorithms.scan.smoothing import smooth_ranges
+from ffmap.app.analysis.figures import read_figures
 from ffmap.app.commands.run import run as run_command
 from ffmap.app.folder import finished_run
 from ffmap.app.folder.cloud_file import read_ply
@@ -31,7 +32,7 @@ from ffmap.app.record.inspection import ExplainedScan, layout_of, log_explained
 from ffmap.app.record.library import building_layout, log_building, log_into
 from ffmap.app.record.line_reasons import LineReason, explain_lines, scan_document
 from ffmap.app.setup.options import RunOptions
-from ffmap.app.setup.settings import Settings, load_settings, validate
+from ffmap.app.setup.settings import Settings, load_settings, put, validate
 from ffmap.blueprints.entities import FURNITURE_FREE, LINE_OUTCOMES
 from ffmap.loaders.bag import open_bag
 from ffmap.loaders.bag_path import BagPath
@@ -43,6 +44,7 @@ from ffmap.loaders.rig import UPRIGHT_DEG
 from ffmap.loaders.rings import RingSample, estimate_rings
 from ffmap.loaders.scans import read_scans as read_scans_of
 from ffmap.loaders.sensors import cloud_topics
+from ffmap.loaders.text_files import dotted_keys
 from ffmap.loaders.trajectory_file import read_tum
 
 Config = Settings | Mapping[str, Any] | Path | str | None
@@ -108,7 +110,7 @@ def label_scan(
         and (0, 0, 0) are no returns. The lidar did not move, or the motion was removed.
     ring: the emitter of each point; None to find it by rows, columns or elevation.
     up: the upright direction in the sensor's frame: (0, 0, 1) for an upright lidar, whose columns
-        are its point lines; (1, 0, 0) for one on its side with x upwards.
+        are its point lines; (0, 1, 0) for one on its side whose y axis points up.
     Raises ValueError where the arrays do not fit together or hold no return, and InputError for
     wrong settings.
     """
@@ -228,8 +230,6 @@ class OpenedRun:
     @cached_property
     def figures(self) -> dict[str, float]:
         """Figures against the ground truth, and times; see docs/outputs.md for names and units."""
-        from ffmap.app.analysis.figures import read_figures
-
         return read_figures(self.path, self.finished.record)
 
     @cached_property
@@ -321,11 +321,7 @@ def _settings(config: Config) -> Settings:
         return config
     if isinstance(config, Mapping):
         nested: dict[str, Any] = {}
-        for name, value in config.items():
-            *steps, last = name.split(".")
-            target = nested
-            for step in steps:
-                target = target.setdefault(step, {})
-            target[last] = value
+        for name, value in dotted_keys(config).items():
+            put(nested, name, value, "config")
         return validate(nested, "config")
     return load_settings(None if config is None else Path(config), ())

@@ -1,18 +1,27 @@
-"""The true building of a bag: GeoJSON of walls, doors, rooms and elements, as arrays."""
+"""The ground truth of a bag: its building as arrays, and the true classes of its clouds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
 
 from ffmap.algorithms.base.labels import Truth
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.truth.doors import TrueDoors
 from ffmap.algorithms.truth.elements import Element
+from ffmap.app.folder.finished_run import FinishedRun
+from ffmap.app.folder.names import METRICS
 from ffmap.app.folder.room_files import outlines
+from ffmap.loaders.bag import open_bag
+from ffmap.loaders.bag_path import BagPath
+from ffmap.loaders.errors import InputError
+from ffmap.loaders.text_files import read_object
+from ffmap.loaders.truth import TruthClasses, read_truth
 
 _DOOR_HEIGHT_M = 2.0
 _WALL_M = 0.2
@@ -95,3 +104,40 @@ def _edges(coordinates: Sequence[Any]) -> FloatArray:
         return np.concatenate([_edges(part) for part in coordinates])
     vertices = np.array([vertex[:2] for vertex in coordinates], float)
     return np.stack([vertices[:-1], vertices[1:]], axis=1)
+
+
+ClassesAt = Callable[[str, int, int], UInt8Array | None]
+"""Returns the true classes of the cloud of a topic, a stamp and a size; None if unknown."""
+
+
+@contextmanager
+def open_classes(run: FinishedRun, bag: BagPath | None) -> Iterator[ClassesAt | None]:
+    """Open the ground truth that a run was evaluated with, or that of its bag; None without any.
+
+    The bag, because a run without a recording of single scans has no errors of single scans.
+    """
+    paths = [] if bag is None else [bag]
+    if (metrics := run.file(METRICS)) is not None:
+        named = read_object(metrics, "'ffmap evaluate' makes it again").get("truth")
+        paths = [BagPath((Path(str(named)),)), *paths] if named is not None else paths
+    with ExitStack() as stack:
+        truth = None
+        for path in paths:
+            # A file of true poses is no bag, and the name of several parts is no path.
+            with suppress(InputError):
+                opened = stack.enter_context(open_bag(path))
+                truth = read_truth(opened)
+            if truth is not None and truth.classes:
+                break
+        else:
+            yield None
+            return
+        by_frame = {name: TruthClasses(opened, own) for name, own in truth.classes.items()}
+        of_topic = {own.topic: by_frame.get(own.frame or "") for own in run.record.rig.values()}
+
+        def classes_at(topic: str, stamp_ns: int, size: int) -> UInt8Array | None:
+            own = of_topic.get(topic)
+            found = own.at(stamp_ns, size) if own is not None else None
+            return found if found is not None and len(found) == size else None
+
+        yield classes_at

@@ -1,9 +1,7 @@
 """One scan of a finished run, labelled again with all evidence, and its errors."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +13,11 @@ from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import PointLines
 from ffmap.algorithms.truth.labels import verdicts
+from ffmap.app.analysis.ground_truth import open_classes
 from ffmap.app.analysis.run_labels import read_run_labels
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import read_labels
-from ffmap.app.folder.names import EVALUATION, LABELS, METRICS
+from ffmap.app.folder.names import EVALUATION, LABELS
 from ffmap.app.record.conditions import Condition, centimetres, setting_of
 from ffmap.app.record.inspection import TRUE_CLASSES, ScanFaults
 from ffmap.app.record.line_reasons import name_of
@@ -38,8 +37,6 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_scans
-from ffmap.loaders.text_files import read_object
-from ffmap.loaders.truth import TruthClasses, read_truth
 
 CHANGE_HEADINGS = (
     *("returns", "wrong", "by the scan → final", "reason", "to the nearest face"),
@@ -100,7 +97,10 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         raise _skipped(number, failed.reason) from error
     scan, level, labelling = alone.scan, alone.level, alone.labelling
     final, differing = _recorded_labels(run, number, scan, labelling.label)
-    truth = _true_classes(run, inputs.bag_path, lidar.frame_id, scan.stamp_ns, scan.cloud_size)
+    with open_classes(run, inputs.bag_path) as classes_at:
+        truth = None
+        if classes_at is not None:
+            truth = classes_at(lidar.topic, scan.stamp_ns, scan.cloud_size)
     truth = truth[scan.cloud_index] if truth is not None else None
     faults, why_changed = None, None
     changes: list[tuple[str, ...]] = []
@@ -193,15 +193,14 @@ def _count_errors(run: FinishedRun, bag: BagPath | None) -> tuple[dict[int, floa
     """Count the percentage of wrong labels of each scan, or else of changed ones; whether wrong."""
     wrong: dict[int, float] = {}
     changed: dict[int, float] = {}
-    frames = {lidar.topic: lidar.frame or "" for lidar in run.record.rig.values()}
-    with nullcontext() if bag is None else _open_classes(run, bag) as classes_at:
+    with open_classes(run, bag) as classes_at:
         for cloud, _ in read_run_labels(run):
             own = cloud.label_scan != NO_RETURN
             if not own.any():
                 continue
             changed[cloud.scan] = 100 * float(np.mean((cloud.label != cloud.label_scan)[own]))
             if classes_at is not None:
-                truth = classes_at(frames.get(cloud.topic, ""), cloud.stamp_ns, len(own))
+                truth = classes_at(cloud.topic, cloud.stamp_ns, len(own))
                 if truth is not None:
                     is_wrong = verdicts(truth, cloud.label)[own] != Verdict.RIGHT
                     wrong[cloud.scan] = 100 * float(np.mean(is_wrong))
@@ -312,53 +311,6 @@ def _deciding(reason: int, before: int, off_face_m: float, settings: Settings) -
         return setting.assignment, "–"
     condition = Condition(REASONS[reason], off_face_m, comparison, setting.value, "m", setting)
     return setting.assignment, condition.turning_text
-
-
-def _true_classes(
-    run: FinishedRun, bag: BagPath, frame: str, stamp_ns: int, size: int
-) -> UInt8Array | None:
-    """Return the true class of each place of a cloud (size,); None if unknown.
-
-    frame: of the cloud's lidar.
-    """
-    with _open_classes(run, bag) as classes_at:
-        return classes_at(frame, stamp_ns, size) if classes_at is not None else None
-
-
-ClassesAt = Callable[[str, int, int], UInt8Array | None]
-"""Returns the true classes of the cloud of a frame, a stamp and a size; None if unknown."""
-
-
-@contextmanager
-def _open_classes(run: FinishedRun, bag: BagPath) -> Iterator[ClassesAt | None]:
-    """Open the ground truth that a run was evaluated with, or that of its bag; None without any.
-
-    The bag, because a run without a recording of single scans has no errors of single scans.
-    """
-    paths = [bag]
-    if (metrics := run.file(METRICS)) is not None:
-        named = str(read_object(metrics, "'ffmap evaluate' makes it again").get("truth", bag))
-        paths.insert(0, BagPath((Path(named),)))
-    with ExitStack() as stack:
-        truth = None
-        for path in paths:
-            # A file of true poses is no bag, and the name of several parts is no path.
-            with suppress(InputError):
-                opened = stack.enter_context(open_bag(path))
-                truth = read_truth(opened)
-            if truth is not None and truth.classes:
-                break
-        else:
-            yield None
-            return
-        by_frame = {name: TruthClasses(opened, own) for name, own in truth.classes.items()}
-
-        def classes_at(frame: str, stamp_ns: int, size: int) -> UInt8Array | None:
-            own = by_frame.get(frame)
-            found = own.at(stamp_ns, size) if own is not None else None
-            return found if found is not None and len(found) == size else None
-
-        yield classes_at
 
 
 def faults_in_words(faults: ScanFaults | None, lines: PointLines) -> str:

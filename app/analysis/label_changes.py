@@ -1,7 +1,6 @@
 """Labels of two runs of one bag, point by point, and by the ground truth if the bag has it."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 
@@ -19,18 +18,16 @@ from ffmap.algorithms.truth.changes import (
     judge,
     transitions,
 )
+from ffmap.app.analysis.ground_truth import open_classes
 from ffmap.app.analysis.run_labels import read_run_labels, side_by_side
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import ScanLabels
-from ffmap.loaders.bag import open_bag
-from ffmap.loaders.truth import TruthClasses, read_truth
 
 VOXEL_M = 0.1
 """Edge of the voxels that changed points are shown by in the map."""
 ChangedPoints = Callable[[ScanLabels, FloatArray, UInt8Array, UInt8Array], None]
 """Receives each compared cloud, and positions (c, 3), classes before (c,) and classes after (c,) of
 its changed points."""
-_TrueClasses = Callable[[ScanLabels], UInt8Array | None]
 
 
 def compare_labels(
@@ -47,7 +44,8 @@ def compare_labels(
     spots = [SpotFinder() for _ in Became]
     rows: list[tuple[int, int, IntArray, int, IntArray]] = []
     only_a = only_b = unlike = 0
-    with _open_truth(a if bag_a else b) as true_classes:
+    judge_run = a if bag_a else b
+    with open_classes(judge_run, judge_run.bag_path) as classes_at:
         for in_a, in_b in pairs:
             if in_a is None or in_b is None:
                 only_a, only_b = only_a + (in_b is None), only_b + (in_a is None)
@@ -61,8 +59,10 @@ def compare_labels(
             changed = np.flatnonzero(one.label != other.label)
             labels = one.label[changed], other.label[changed]
             became, judged = np.full(len(changed), Became.NEITHER, np.uint8), _NONE_JUDGED
-            truth = true_classes(one) if true_classes is not None and len(changed) else None
-            if truth is not None and len(truth) == len(one.label):
+            truth = None
+            if classes_at is not None and len(changed):
+                truth = classes_at(one.topic, one.stamp_ns, len(one.label))
+            if truth is not None:
                 became = judge(truth[changed], *labels)
                 judged = count_judged(truth[changed], became)
             rows.append((one.scan, one.stamp_ns, counts, changed_scan, judged))
@@ -79,7 +79,7 @@ def compare_labels(
                 of_kind = became == kind if kind != Became.NEITHER else slice(None)
                 spot.add(one.scan, points[of_kind])
             changed_points(one, points, before, after)
-        with_truth = true_classes is not None
+        with_truth = classes_at is not None
     skipped = {"scans_only_a": only_a, "scans_only_b": only_b, "scans_unlike": unlike}
     if not rows:
         return None, skipped
@@ -99,31 +99,3 @@ def compare_labels(
 
 
 _NONE_JUDGED: IntArray = np.zeros((len(Truth), 2), np.int64)
-
-
-@contextmanager
-def _open_truth(run: FinishedRun) -> Iterator[_TrueClasses | None]:
-    """Open the true classes of the clouds in a run's bag; None if the bag is gone or has none."""
-    if run.bag_path is None or run.bag_path.missing is not None:
-        yield None
-        return
-    with open_bag(run.bag_path) as bag:
-        truth = read_truth(bag)
-        if truth is None or not truth.classes:
-            yield None
-            return
-        topics = {
-            lidar.topic: truth.classes.get(lidar.frame_id)
-            for lidar in run.find_lidars(bag).verticals
-        }
-        classes = {
-            topic: TruthClasses(bag, true_topic)
-            for topic, true_topic in topics.items()
-            if true_topic is not None
-        }
-
-        def at(cloud: ScanLabels) -> UInt8Array | None:
-            own = classes.get(cloud.topic)
-            return None if own is None else own.at(cloud.stamp_ns, len(cloud.label))
-
-        yield at

@@ -26,9 +26,9 @@ from ffmap.loaders.scans import SkippedScan, read_scans
 _COMPANION_NS = 200_000_000
 """Maximum age (ns) of the other lidar's scan that is registered with a horizontal one."""
 _SCANS_AHEAD = 4
+"""Number of scans that are read before they are registered."""
 _FORMAT = 18
 """Raised whenever a change to reading or registering scans changes poses."""
-
 Read = tuple[int, Scan, Scan | None]
 """Number of a cloud, its scan, and the companion's."""
 

@@ -203,14 +203,21 @@ def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
                 f"--set {override}: write it as step.name=value, as in "
                 "relabelling.wall_distance_m=0.06"
             )
-        *steps, last = name.strip().split(".")
-        target = values
-        for step in steps:
-            target = target.setdefault(step, {})
-            if not isinstance(target, dict):
-                raise InputError(f"--set {override}: {step!r} is no step; {_suggestion(name)}")
-        target[last] = parse_value(text.strip())
+        put(values, name.strip(), parse_value(text.strip()), f"--set {override}")
     return validate(values, source)
+
+
+def put(values: dict[str, Any], name: str, value: Any, source: str) -> None:  # noqa: ANN401
+    """Put a setting into nested values by its dotted name.
+
+    Raises InputError, which begins with `source`, where a part of the name has a value already.
+    """
+    *steps, last = name.split(".")
+    for step in steps:
+        values = values.setdefault(step, {})
+        if not isinstance(values, dict):
+            raise InputError(f"{source}: {step!r} is no step; {_suggestion(name)}")
+    values[last] = value
 
 
 def validate(values: dict[str, Any], source: str) -> Settings:

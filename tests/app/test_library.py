@@ -87,6 +87,8 @@ def test_arrays_that_do_not_fit_are_refused(
 def test_a_wrong_setting_is_refused() -> None:
     with pytest.raises(ffmap.InputError, match=r"wall_planes\.similarity_m"):
         ffmap.label_scan(np.ones((5, 3)), config={"wall_planes.similarty_m": 0.1})
+    with pytest.raises(ffmap.InputError, match="'doors' is no step"):
+        ffmap.label_scan(np.ones((5, 3)), config={"doors": 1, "doors.lines_min": 2})
 
 
 def test_a_labelled_array_is_logged_line_by_line(room: ffmap.LabelledArray, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import NO_RETURN, Verdict
 from ffmap.algorithms.truth.changes import CLASSES, transitions
-from ffmap.app.analysis import inspection
+from ffmap.app.analysis import ground_truth, inspection
 from ffmap.app.analysis.run_labels import read_run_labels
 from ffmap.app.commands import compare as compare_command
 from ffmap.app.commands import inspect as inspect_command
@@ -422,7 +422,7 @@ def not_evaluated(runs: dict[str, Path], tmp_path: Path) -> Path:
 @pytest.fixture
 def without_truth(not_evaluated: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A run whose bag has no ground truth."""
-    monkeypatch.setattr(inspection, "read_truth", lambda bag: None)
+    monkeypatch.setattr(ground_truth, "read_truth", lambda bag: None)
     return not_evaluated
 
 
@@ -515,7 +515,7 @@ def test_the_worst_scan_opens_at_its_worst_line_and_names_wrong_labels(
     assert "wall_planes.similarity_m=0.002" in out
     assert "Why its returns have their labels by the scan" in out
 
-    monkeypatch.setattr(inspection, "read_truth", lambda bag: None)
+    monkeypatch.setattr(ground_truth, "read_truth", lambda bag: None)
     # Without truth, what the building changed; a line that the user names precedes the worst.
     inspect_command.inspect(not_evaluated, str(scan), 3, None, tmp_path / "a.rrd", spawn=False)
     explained = written.call_args.args[2]
