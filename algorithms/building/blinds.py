@@ -12,6 +12,14 @@ from pydantic import Field
 from ffmap.algorithms.base.known import median_known
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import (
+    FILLED,
+    THROUGH,
+    WallCells,
+    depth_moments,
+    returns_at_face,
+    with_neighbours,
+)
 from ffmap.algorithms.building.face_columns import TracedFaces, runs
 from ffmap.algorithms.building.model import (
     CELL_M,
@@ -20,14 +28,6 @@ from ffmap.algorithms.building.model import (
     BuildingSettings,
     Windows,
     cells_in,
-)
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    THROUGH,
-    WallCells,
-    depth_moments,
-    returns_at_face,
-    with_neighbours,
 )
 from ffmap.algorithms.building.shades import response_by_angle, shades
 from ffmap.algorithms.building.windows import wall_of

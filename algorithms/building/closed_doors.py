@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.building.cells import FILLED, THROUGH
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, BuildingSettings, Doors, one_door
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH
 from ffmap.algorithms.building.shades import Picture
 from ffmap.algorithms.scan.doors import DoorState
 

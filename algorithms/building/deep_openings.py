@@ -8,24 +8,23 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengthened
+from ffmap.algorithms.building.cells import FILLED, SUM, THROUGH, WallCells, mean_before_m
 from ffmap.algorithms.building.closed_doors import is_opaque
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_WINDOWS,
-    BuildingSettings,
     Doors,
     Walls,
     Windows,
     cells_in,
 )
-from ffmap.algorithms.building.openings import OpeningRules, is_pane, lies_on_sheet, without_panels
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    SUM,
-    THROUGH,
-    WallCells,
-    mean_before_m,
+from ffmap.algorithms.building.openings import (
+    OpeningRules,
+    deep_rules,
+    is_pane,
+    lies_on_sheet,
+    without_panels,
 )
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
 from ffmap.algorithms.building.windows import find_pane_m
@@ -33,7 +32,7 @@ from ffmap.algorithms.scan.doors import DoorState
 
 
 def tell_deep_openings(
-    doors: Doors, trace: Callable[[Walls, BuildingSettings], WallCells], rules: OpeningRules
+    doors: Doors, trace: Callable[[Walls], WallCells], rules: OpeningRules
 ) -> tuple[Doors, Windows]:
     """The doors, closed where a leaf shuts them deep within their wall; and those that a pane shuts there, which are windows.
 
@@ -48,8 +47,8 @@ def tell_deep_openings(
     beside = cells_in(rules.openings.beside_m)
     ends = lengthened(doors.ends[asked], beside * CELL_M)
     faces = unseen_faces(ends, doors.normal[asked], doors.head_m[asked])
-    deep = replace(rules, building=rules.building.model_copy(update={"near_m": rules.openings.doorway_max_m}))
-    cells = trace(faces, deep.building)
+    deep = deep_rules(rules)
+    cells = trace(faces)
     state, depth_m, agreement = doors.state.copy(), doors.depth_m.copy(), doors.agreement.copy()
     is_window, windows = np.zeros(len(doors), bool), NO_WINDOWS
     for k, d in enumerate(asked):

@@ -15,12 +15,14 @@ from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import FILLED, THROUGH, depth_moments, mean_before_m
 from ffmap.algorithms.building.closed_doors import (
     Opening,
     closed_door,
     is_opaque,
     none_over_another,
 )
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import TracedFaces
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
@@ -29,13 +31,6 @@ from ffmap.algorithms.building.model import (
     BuildingSettings,
     Doors,
     cells_in,
-)
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    THROUGH,
-    depth_moments,
-    mean_before_m,
 )
 
 

@@ -21,8 +21,8 @@ from ffmap.algorithms.building.closed_doors import (
     none_over_another,
     shows_from_the_floor,
 )
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, cells_in
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW
 from ffmap.algorithms.building.shades import Picture, peaks
 
 

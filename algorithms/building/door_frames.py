@@ -21,7 +21,7 @@ from ffmap.algorithms.building.model import (
     Walls,
     stretches,
 )
-from ffmap.algorithms.building.ray_evidence import OwnPlane, Rays, floor_m, own_plane
+from ffmap.algorithms.building.rays import OwnPlane, Rays, floor_m, own_plane
 from ffmap.algorithms.scan.summary import Features
 
 _BIN_M = 0.01

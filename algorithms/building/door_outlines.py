@@ -22,8 +22,8 @@ from ffmap.algorithms.building.closed_doors import (
     none_over_another,
     shows_from_the_floor,
 )
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings, Doors, cells_in
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW
 from ffmap.algorithms.building.shades import Picture, peaks
 
 _NEAR, _FAR = 2, 3  # What a line is compared with on each side, in cells from its middle: its edges may blur those between

@@ -10,6 +10,8 @@ import numpy as np
 from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import LENGTH, along_lines_m, lengths_m, lines_of, segments
+from ffmap.algorithms.building.cells import FILLED, THROUGH, mean_before_m, with_neighbours
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import (
@@ -35,13 +37,6 @@ from ffmap.algorithms.building.openings import (
     to_jambs,
     widened,
     without_panels,
-)
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    THROUGH,
-    mean_before_m,
-    with_neighbours,
 )
 from ffmap.algorithms.scan.doors import DoorState
 

@@ -7,53 +7,55 @@ from functools import cached_property
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.building.evidence import Evidence, joined, rows_of
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.levels import map_levels
-from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
-from ffmap.algorithms.building.ray_evidence import WallCells, first_columns, joined, rows_of
+from ffmap.algorithms.building.model import Walls, Windows
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
 
 _PLACE_M, _TURN, _VIEWS_MAX = 0.25, 0.25, 20
 """Scans are of one view where their lidar's places and the axes of its frame are this near, and this many tell of the view."""
 
-Trace = Callable[[Walls, BuildingSettings, Windows], WallCells]
-"""Counts the rays of all scans against faces as `trace_rays` does, without those that ended beyond a window."""
-TracePart = Callable[[Walls, BuildingSettings, Windows | None], WallCells]
-"""The same of the rays alone that ended beyond one of some windows; of all rays where no windows are given."""
+Trace = Callable[[Walls, Windows], Evidence]
+"""Books the rays of all scans in cells of faces, without those that ended beyond a window."""
+TracePart = Callable[[Walls, Windows | None], Evidence]
+"""The same of the rays alone that ended beyond one of some windows; of all rays without any."""
 
 
 class TraceOnce:
-    """Counts the rays of all scans against the faces alone that were not asked for before.
+    """Books the rays of all scans in the cells of the faces alone that were not asked for before.
 
-    What rays found of a face depends on no other face, and most faces are the same from one step to the next. Few rays end beyond
-    windows: to count those and to take them away takes less time than to count all others.
+    What rays found of a face depends on no other face, and most faces are the same from one step to
+    the next.
     """
 
     def __init__(self, trace: TracePart) -> None:
         self._trace = trace
-        self._known: dict[tuple[str, bytes], dict[bytes, WallCells]] = {}
+        self._known: dict[bytes, dict[bytes, Evidence]] = {}
 
-    def __call__(self, walls: Walls, settings: BuildingSettings, windows: Windows) -> WallCells:
+    def __call__(self, walls: Walls, windows: Windows) -> Evidence:
         """As `Trace` says."""
-        cells = self._part(walls, settings, None)
-        return cells.minus(self._part(walls, settings, windows)) if len(windows) else cells
+        found = self._part(walls, None)
+        return found.minus(self._part(walls, windows)) if len(windows) else found
 
-    def _part(self, walls: Walls, settings: BuildingSettings, through: Windows | None) -> WallCells:
-        glass = b"" if through is None else through.key
-        known = self._known.setdefault((settings.model_dump_json(), glass), {})
+    def _part(self, walls: Walls, through: Windows | None) -> Evidence:
+        known = self._known.setdefault(b"" if through is None else through.key, {})
         rows = rows_of(walls)
-        keys = [ends.tobytes() + normal.tobytes() for ends, normal in zip(walls.ends, walls.normal, strict=True)]
+        keys = [
+            ends.tobytes() + normal.tobytes()
+            for ends, normal in zip(walls.ends, walls.normal, strict=True)
+        ]
         new = np.array([key not in known or known[key].rows < rows for key in keys], bool)
         if new.any():
             # As high as the highest face that is asked for, which may be another.
-            asked = replace(walls, top_m=np.full(len(walls), walls.top_m.max())).select(new)
-            cells = self._trace(asked, settings, through)
+            as_high = replace(walls, top_m=np.full(len(walls), walls.top_m.max()))
+            found = self._trace(as_high.select(new), through)
             for own, key in enumerate(np.array(keys, object)[new]):
-                known[key] = cells.of(own)
-        return joined(first_columns(walls), rows, [known[key] for key in keys])
+                known[key] = found.of(own)
+        return joined([known[key] for key in keys], rows)
 
 
 def new_views(T_map_base: FloatArray, lidar: IntArray) -> BoolArray:
@@ -90,12 +92,14 @@ class AllScans:
     """What the scans of a drive gathered, in the map frame.
 
     votes: cubes by the labels that scans gave. rivals: what the paper's maps are drawn from, see `RivalCounter`.
+    trace_within: books rays in openings, where they ended, see `trace`.
     """
 
     drive: Drive
     votes: VoxelVotes
     rivals: VoxelVotes
     trace: Trace
+    trace_within: Callable[[Walls], Evidence]
     levels_settings: LevelsSettings
 
     @cached_property

@@ -14,6 +14,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.evidence import first_columns
 from ffmap.algorithms.building.face_columns import Storey, above_doors_m, column_places
 from ffmap.algorithms.building.face_steps import (
     FaceReturns,
@@ -24,7 +25,6 @@ from ffmap.algorithms.building.face_steps import (
 )
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.model import CELL_M, Walls
-from ffmap.algorithms.building.ray_evidence import first_columns
 from ffmap.algorithms.building.votes import VoxelVotes
 
 

@@ -14,6 +14,15 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.ceilings import of_rooms
+from ffmap.algorithms.building.cells import (
+    FILLED,
+    SUM,
+    THROUGH,
+    WallCells,
+    returns_at_face,
+    with_neighbours,
+)
+from ffmap.algorithms.building.evidence import DEEP, FOOT_ROW, Evidence
 from ffmap.algorithms.building.height_map import HeightMap, corrected
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.model import (
@@ -24,15 +33,6 @@ from ffmap.algorithms.building.model import (
     Walls,
     cells_in,
     stretches,
-)
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    SUM,
-    THROUGH,
-    WallCells,
-    returns_at_face,
-    with_neighbours,
 )
 from ffmap.algorithms.building.votes import VoxelVotes
 
@@ -156,35 +156,48 @@ class TracedFace(NamedTuple):
 class TracedFaces:
     """Wall faces and what is known of each of their columns.
 
-    cells: what rays found. clear_m: (columns,) from the floor to the ceiling before each; NaN where no ceiling was seen.
-    ground_m: (columns,) map z of the floor before each.
+    evidence: what rays found. clear_m: (columns,) from the floor to the ceiling before each; NaN where no ceiling was seen.
+    ground_m: (columns,) map z of the floor before each. deepest: the layer down to which rays have not passed.
     """
 
     walls: Walls
-    cells: WallCells
+    evidence: Evidence
     clear_m: FloatArray
     ground_m: FloatArray
+    deepest: int = DEEP
+
+    @cached_property
+    def cells(self) -> WallCells:
+        """What ended at the faces, and what passed them."""
+        return WallCells.of_layers(self.evidence, self.deepest)
+
+    @property
+    def top_m(self) -> FloatArray:
+        """(columns,) how high each column stands: up to the ceiling, or else as high as the face was seen."""
+        return np.where(np.isfinite(self.clear_m), self.clear_m, np.repeat(self.walls.top_m, np.diff(self.evidence.first)))
 
     def __len__(self) -> int:
         return len(self.walls)
 
     def each(self) -> Iterator[TracedFace]:
         """Each of the faces by itself."""
-        top_m = np.where(np.isfinite(self.clear_m), self.clear_m, np.repeat(self.walls.top_m, np.diff(self.cells.first)))
+        top_m = self.top_m
         for w, face in enumerate(segments(self.walls)):
             own = self.columns(w)
             counts = self.cells.counts[own].astype(np.float64)
             yield TracedFace(w, face, own, counts, top_m[own])
 
     @classmethod
-    def of(cls, walls: Walls, cells: WallCells, storey: Storey, ceiling_near_m: float) -> "TracedFaces":
+    def of(
+        cls, walls: Walls, evidence: Evidence, storey: Storey, ceiling_near_m: float, deepest: int = DEEP
+    ) -> "TracedFaces":
         """ceiling_near_m: maximum distance of a column's ceiling."""
-        places = column_places(walls, cells.first)
-        return cls(walls, cells, storey.clear_m(places, ceiling_near_m), storey.ground_m(places))
+        places = column_places(walls, evidence.first)
+        return cls(walls, evidence, storey.clear_m(places, ceiling_near_m), storey.ground_m(places), deepest)
 
     def columns(self, w: int) -> slice:
         """The columns of one face."""
-        return slice(int(self.cells.first[w]), int(self.cells.first[w + 1]))
+        return self.evidence.columns(w)
 
     def cut(self, stretches: list[tuple[int, int, int]]) -> Walls:
         """Stretches of faces, each a face, its first column and the one after the last, as faces of their own."""
@@ -199,12 +212,14 @@ class TracedFaces:
 
     def part(self, stretches: list[tuple[int, int, int]]) -> "TracedFaces":
         """The same as `cut`, with what is known of the columns."""
-        columns = self.cells.columns(stretches)
-        return TracedFaces(self.cut(stretches), self.cells.part(stretches), self.clear_m[columns], self.ground_m[columns])
+        columns, evidence = self.evidence.part(stretches)
+        return replace(
+            self, walls=self.cut(stretches), evidence=evidence, clear_m=self.clear_m[columns], ground_m=self.ground_m[columns]
+        )
 
     def visited(self, path_map: FloatArray, robot_m: float) -> BoolArray:
         """(columns,) where the robot drove: its places (n, 2) are closer than `robot_m`."""
-        return visited(column_places(self.walls, self.cells.first, 0.0), path_map, robot_m)
+        return visited(column_places(self.walls, self.evidence.first, 0.0), path_map, robot_m)
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import THROUGH, mean_before_m
+from ffmap.algorithms.building.evidence import FOOT_ROW, first_columns
 from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, first_columns, mean_before_m
 from ffmap.algorithms.scan.doors import DoorState
 
 

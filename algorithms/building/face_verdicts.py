@@ -16,6 +16,8 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import WallCells
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import (
     Columns,
     FaceColumnsSettings,
@@ -41,7 +43,6 @@ from ffmap.algorithms.building.model import (
     stretches,
 )
 from ffmap.algorithms.building.openings import OpeningRules, is_pane
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW, WallCells
 
 ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""

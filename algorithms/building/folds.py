@@ -10,9 +10,10 @@ from pydantic import Field
 from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import FILLED, THROUGH, mean_before_m
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import long_runs
 from ffmap.algorithms.building.model import cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, mean_before_m
 
 _SEEN_MIN = 0.3  # Of a column's cells, for their median to say where it lies
 

@@ -9,29 +9,27 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.blinds import BlindsSettings, find_blinds
-from ffmap.algorithms.building.deep_openings import tell_deep_openings
+from ffmap.algorithms.building.blinds import BlindsSettings
+from ffmap.algorithms.building.cells import WallCells
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings, find_cased_doors
 from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings, find_contrasting_doors
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings, find_outlined_doors
 from ffmap.algorithms.building.doors import (
     each_once,
-    find_doors,
-    lower_heads_to_overlights,
     prove_crossed,
 )
 from ffmap.algorithms.building.drive import AllScans
+from ffmap.algorithms.building.evidence import LAYERS_M, RECESS, trace
 from ffmap.algorithms.building.face_alignment import (
     AlignedFaces,
     FaceAlignmentSettings,
     align_faces,
 )
 from ffmap.algorithms.building.face_columns import (
-    FLOOR_NEAR_M,
     FaceColumnsSettings,
     TracedFaces,
-    column_places,
+    room_before,
 )
 from ffmap.algorithms.building.face_foreground import (
     ForegroundSettings,
@@ -47,7 +45,6 @@ from ffmap.algorithms.building.face_verdicts import (
     TrimmedFaces,
     along_others,
     join_corners,
-    judge_faces,
     leaning_on_others,
     refuse_outside,
     shows_whole,
@@ -64,15 +61,12 @@ from ffmap.algorithms.building.glass_fronts import (
     new_fronts,
     set_in_walls,
 )
-from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_open_leaves
+from ffmap.algorithms.building.glazed_doors import panes_of_open_leaves
 from ffmap.algorithms.building.halo import Halo, HaloSettings, find_halo, halo_at_walls
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings, find_low_walls, without_low_walls
 from ffmap.algorithms.building.missed_walls import (
-    AllReturns,
     MissedWallsSettings,
-    SearchSettings,
-    find_missed_walls,
 )
 from ffmap.algorithms.building.model import (
     NO_WALLS,
@@ -83,9 +77,19 @@ from ffmap.algorithms.building.model import (
     Walls,
     Windows,
 )
-from ffmap.algorithms.building.mullions import find_mullions
 from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
-from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.parse import ParseSettings
+from ffmap.algorithms.building.rays import OwnPlane
+from ffmap.algorithms.building.settle import (
+    Openings,
+    ParsedFaces,
+    blinds_of,
+    doors_of,
+    find_openings,
+    glazed_doors_of,
+    judge,
+    windows_of,
+)
 from ffmap.algorithms.building.shades import pictures
 from ffmap.algorithms.building.sliding_doors import (
     HangingLeaf,
@@ -100,16 +104,21 @@ from ffmap.algorithms.building.thickness import (
     part_walls,
 )
 from ffmap.algorithms.building.unexplained_lines import straight_lines, unexplained_columns
+from ffmap.algorithms.building.unseen_walls import UnseenWallsSettings, find_unseen_walls
 from ffmap.algorithms.building.windows import (
     WindowsSettings,
-    find_windows,
     is_in_wall,
-    look_deeper,
+    join_windows,
     seen_through,
-    widened_in_walls,
     without_panes,
 )
-from ffmap.algorithms.scan.summary import concatenate, select_planes, select_scans, without_rays
+from ffmap.algorithms.scan.summary import (
+    Features,
+    concatenate,
+    select_planes,
+    select_scans,
+    without_rays,
+)
 
 
 @dataclass(frozen=True)
@@ -123,7 +132,9 @@ class FusionSettings:
     face_steps: FaceStepsSettings
     standing_walls: StandingWallsSettings
     folds: FoldsSettings
+    parse: ParseSettings
     missed_walls: MissedWallsSettings
+    unseen_walls: UnseenWallsSettings
     low_walls: LowWallsSettings
     foreground: ForegroundSettings
     openings: OpeningsSettings
@@ -143,11 +154,6 @@ class FusionSettings:
         """By what doors and windows are told."""
         return OpeningRules(self.building, self.openings)
 
-    @property
-    def for_unseen_faces(self) -> BuildingSettings:
-        """How rays are counted against faces that no scan saw as a plane."""
-        near_m = self.missed_walls.near_m
-        return self.building.for_faces().model_copy(update={"near_m": near_m, "own_plane_m": 0.0})
 
 
 @dataclass(frozen=True)
@@ -167,7 +173,7 @@ class Building:
 def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     """Walls from all planes, doors and windows from all rays. Raises ValueError where there is no scan."""
     aligned, judged, windows, fronts = _find_faces(scans, settings)
-    aligned, judged, walls = _add_missed_walls(aligned, judged, windows.append(fronts), scans, settings)
+    walls = _add_unseen_walls(judged, windows.append(fronts), scans, settings)
     trimmed, doors, glass, blinds = _find_openings(walls, fronts, scans, settings)
     walls, judged = trimmed.faces.walls, judged.refuse(trimmed.leaves, FaceVerdict.ENDS_LOW)
     foreground = find_foreground(trimmed.faces, doors, settings.standing_walls.above_door_m, settings.foreground)
@@ -180,8 +186,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     halo = halo_at_walls(halo, walls, doors, foreground, scans.storey, settings.halo)
     is_leaf = panes_of_open_leaves(glass, doors)
     windows, leaf_panes = glass.select(~is_leaf), glass.select(is_leaf)
-    mullions = find_mullions(windows, partial(_count_all, scans), settings.opening_rules)
-    model = BuildingModel(walls, foreground, judged, doors, windows, blinds, scans.levels, leaf_panes, mullions, low)
+    model = BuildingModel(walls, foreground, judged, doors, windows, blinds, scans.levels, leaf_panes, low_walls=low)
     return Building(model, halo, aligned, thickness_m)
 
 
@@ -196,7 +201,9 @@ def _find_faces(scans: AllScans, settings: FusionSettings) -> tuple[AlignedFaces
     planes = concatenate([without_rays(features) for features in scans.drive.blocks()])
     aligned = _align(fuse_walls(planes, settings.building), scans, settings)
     judged = _judge(aligned, scans, settings)
-    windows, _ = _windows_in(_traced(judged.walls, scans, settings), settings)
+    faces = _traced(judged.walls, scans, settings)
+    seen = find_openings(_parsed(faces, scans, settings), scans.trace_within)
+    windows, _ = _windows_in(faces, seen, settings)
     fronts = _find_glass_fronts(aligned.walls, judged, windows, scans, settings)
     glass = windows.append(fronts)
     outside = seen_through(glass, planes)
@@ -222,32 +229,32 @@ def _judge(aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, win
     alone = (faces.scan_count < standing.scans_few) & ~along_others(faces, standing)
     if alone.any():
         alone[alone] = ~shows_whole(_traced(faces.select(alone), scans, settings, windows), standing)
-    traced = without_panes(_traced(faces.select(~alone), scans, settings, windows), windows, settings.building.near_m)
-    judged = judge_faces(traced, scans.path_map, settings.opening_rules, settings.face_columns, standing, settings.folds)
+    traced = without_panes(_traced(faces.select(~alone), scans, settings, windows), windows)
+    judged = judge(_parsed(traced, scans, settings), settings.building)
     judged = judged.refuse(faces.select(alone), FaceVerdict.ALONE).refuse(leaves, FaceVerdict.LEANS)
     return refuse_outside(judged, scans.storey, settings.face_columns)
 
 
-def _add_missed_walls(
-    aligned: AlignedFaces, judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings
-) -> tuple[AlignedFaces, JudgedFaces, Walls]:
-    """The faces with those that only all scans together show, and the walls that they make."""
-    standing, missed = settings.standing_walls, settings.missed_walls
+def _add_unseen_walls(judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings) -> Walls:
+    """The walls, with those that only all scans together show."""
+    standing = settings.standing_walls
 
-    trace = partial(_traced_unseen, scans=scans, settings=settings)
-    widened = widened_in_walls(windows, judged.walls, missed.beside_glass_m, settings.windows)
-    trace_clear = partial(trace, windows=widened) if len(windows) else None
-    search = SearchSettings(settings.building, standing, settings.face_columns, missed, settings.folds)
-    returns = AllReturns(scans.votes, scans.storey, scans.path_map, partial(trace, windows=windows), trace_clear)
-    # What too few scans saw as a plane may be a wall that all returns together show, unless it hangs.
-    hangs = judged.refused.bottom_m >= settings.building.door_height_min_m
-    refused = judged.refused.select((judged.verdict != FaceVerdict.ALONE) | hangs)
-    found = find_missed_walls(judged.walls, refused, returns, search)
-    judged = replace(judged, walls=found.known).refuse(found.ducts, FaceVerdict.HANGS)
-    judged = judged.refuse(found.mirrored, FaceVerdict.MIRRORED)
-    added = _align(found.walls, scans, settings)
-    walls = join_corners(judged.walls.append(added.walls), standing)
-    return aligned.append(added), judged, walls
+    def parse(faces: Walls) -> ParsedFaces:
+        return _parsed(_traced(faces, scans, settings, windows), scans, settings)
+
+    found = find_unseen_walls(
+        judged.walls,
+        judged.refused,
+        scans.votes,
+        scans.storey,
+        lambda faces: _align(faces, scans, settings).walls,
+        parse,
+        settings.building.gap_m,
+        standing.direction_share_min,
+        settings.unseen_walls,
+    )
+    found = found.select(room_before(found, scans.storey, settings.face_columns))
+    return join_corners(judged.walls.append(found), standing)
 
 
 def _find_low_walls(walls: Walls, glass: Windows, scans: AllScans, settings: FusionSettings) -> Walls:
@@ -256,8 +263,8 @@ def _find_low_walls(walls: Walls, glass: Windows, scans: AllScans, settings: Fus
     place, weight, _ = unexplained_columns(scans.votes, walls, NO_WALLS, missed.explained_m)
     directions = wall_directions(walls, settings.standing_walls.direction_share_min)
     lines = straight_lines(place, weight, directions, missed.half_thickness_m, settings.building.gap_m)
-    trace = partial(_traced_unseen, scans=scans, settings=settings, windows=glass)
-    return find_low_walls(lines, walls, trace, settings.building, settings.low_walls)
+    trace_unseen = partial(_traced_unseen, scans=scans, settings=settings, windows=glass)
+    return find_low_walls(lines, walls, trace_unseen, settings.building, settings.low_walls)
 
 
 # --- openings ---
@@ -266,18 +273,23 @@ def _find_low_walls(walls: Walls, glass: Windows, scans: AllScans, settings: Fus
 def _find_glass_fronts(
     whole: Walls, judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings
 ) -> Windows:
-    def trace(faces: Walls, known: Windows) -> WallCells:
-        return scans.trace(faces, settings.for_unseen_faces, known)
+    def count_all(faces: Walls, known: Windows) -> WallCells:
+        return WallCells.of_layers(scans.trace(faces, known), RECESS)
 
     def each_scan(faces: Walls) -> Iterator[WallCells]:
-        for block in scans.drive.blocks():
-            if trace_rays(faces, [block], settings.for_unseen_faces).counts.any():
-                for scan in block.scan:
-                    yield trace_rays(faces, [select_scans(block, block.scan == scan)], settings.for_unseen_faces)
+        def count(blocks: list[Features]) -> WallCells:
+            found = trace(faces, blocks, settings.building.range_m, OwnPlane.of(settings.building))
+            return WallCells.of_layers(found, RECESS)
 
-    openings = OpeningRules(settings.for_unseen_faces, settings.openings)
+        for block in scans.drive.blocks():
+            if count([block]).counts.any():
+                for scan in block.scan:
+                    yield count([select_scans(block, block.scan == scan)])
+
+    unseen = settings.building.model_copy(update={"near_m": -LAYERS_M[RECESS + 1]})
+    openings = OpeningRules(unseen, settings.openings)
     rules = GlassRules(openings, settings.standing_walls, settings.glass_fronts, settings.missed_walls)
-    return find_glass_fronts(whole, judged, windows, AllRays(scans.votes, scans.path_map, trace, each_scan), rules)
+    return find_glass_fronts(whole, judged, windows, AllRays(scans.votes, scans.path_map, count_all, each_scan), rules)
 
 
 def _find_openings(
@@ -285,59 +297,60 @@ def _find_openings(
 ) -> tuple[TrimmedFaces, Doors, Windows, Blinds]:
     """Doors, windows and what hangs in these, and the walls' faces as the doors' reveals end them."""
     faces = _traced(walls, scans, settings)
-    windows, leaves = _windows_in(faces, settings)
+    seen = find_openings(_parsed(faces, scans, settings), scans.trace_within)
+    blinds = blinds_of(seen)
+    windows, leaves = _windows_in(faces, seen, settings)
     fronts = new_fronts(fronts, windows, settings.glass_fronts)
     windows = windows.append(set_in_walls(fronts, walls, settings.glass_fronts))
 
-    trace = partial(_count_all, scans)
-    windows = look_deeper(windows, partial(trace, building=settings.building), settings.opening_rules, settings.windows)
     # What a window lets pass is no door's.
-    clear = replace(faces, cells=scans.trace(walls, settings.building, windows)) if len(windows) else faces
-    floor_before = scans.storey.floor_near(column_places(walls, faces.cells.first, 0.5 * FLOOR_NEAR_M), FLOOR_NEAR_M)
-    doors = find_doors(clear, settings.opening_rules, windows, floor_before)
+    clear = _traced(walls, scans, settings, windows) if len(windows) else faces
+    openings = find_openings(_parsed(clear, scans, settings), scans.trace_within)
+    doors = doors_of(openings, settings.building)
     cased = find_cased_doors(clear, settings.building, settings.door_casings)
     shown = pictures(clear, settings.building)
     contrasting = find_contrasting_doors(shown, settings.building, settings.door_contrasts)
     outlined = find_outlined_doors(shown, settings.building, settings.door_outlines)
-    glazed = find_glazed_doors(faces, windows, settings.opening_rules)
+    glazed = glazed_doors_of(seen, settings.building)
     sliding = find_sliding_doors(leaves, doors, settings.building)
     doors = doors.append(sliding).append(cased).append(contrasting).append(outlined).append(glazed)
     doors = place_frames(doors, walls, scans.drive.blocks(), settings.building, settings.door_frames)
-    doors = lower_heads_to_overlights(doors, windows, settings.opening_rules)
     doors = prove_crossed(each_once(doors, settings.opening_rules), scans.path_map)
-    doors, deep_windows = tell_deep_openings(doors, trace, settings.opening_rules)
-    windows = windows.append(deep_windows)
     through_m = doors.reveal_m
     doors = measure_reveals(doors, scans.drive.blocks(), settings.door_frames)
     parts = part_walls(walls, settings.wall_thickness)
     depth_m = door_depths(doors, walls, parts, settings.wall_thickness, settings.building.reveal_m, through_m)
     doors = replace(doors, reveal_m=depth_m)
-    blinds = find_blinds(windows, faces, settings.building, settings.blinds)
     return trim_at_doorways(faces, doors, settings.standing_walls), doors, windows, blinds
 
 
 # --- what several steps ask for ---
 
 
-def _windows_in(faces: TracedFaces, settings: FusionSettings) -> tuple[Windows, list[HangingLeaf]]:
+def _windows_in(faces: TracedFaces, seen: Openings, settings: FusionSettings) -> tuple[Windows, list[HangingLeaf]]:
     """The windows of the faces, and what hangs before these as leaves do: those that are panes are among the windows."""
-    windows = find_windows(faces, settings.opening_rules, settings.windows)
+    windows = windows_of(seen)
+    windows = join_windows(windows, settings.windows.one_wall_m, settings.windows.height_min_m)
     leaves = find_hanging_leaves(faces, settings.building, settings.door_casings)
     return windows.append(sliding_panes(leaves)), leaves
 
 
-def _count_all(scans: AllScans, faces: Walls, building: BuildingSettings) -> WallCells:
-    """What all rays found of some faces, those that ended beyond windows too."""
-    return scans.trace(faces, building, NO_WINDOWS)
+def _parsed(faces: TracedFaces, scans: AllScans, settings: FusionSettings) -> ParsedFaces:
+    return ParsedFaces.of(faces, scans.path_map, settings.standing_walls.robot_m, settings.parse)
+
+
+def _count_all(scans: AllScans, faces: Walls, deepest: int) -> WallCells:
+    """What all rays found of some faces, those that ended beyond windows too, down to a layer."""
+    return WallCells.of_layers(scans.trace(faces, NO_WINDOWS), deepest)
 
 
 def _traced(faces: Walls, scans: AllScans, settings: FusionSettings, windows: Windows = NO_WINDOWS) -> TracedFaces:
     """The faces with what rays found of them, and how high the room is before them."""
-    cells = scans.trace(faces, settings.building, windows)
-    return TracedFaces.of(faces, cells, scans.storey, settings.standing_walls.ceiling_near_m)
+    evidence = scans.trace(faces, windows)
+    return TracedFaces.of(faces, evidence, scans.storey, settings.standing_walls.ceiling_near_m)
 
 
 def _traced_unseen(faces: Walls, scans: AllScans, settings: FusionSettings, windows: Windows) -> TracedFaces:
     """The same of faces that no scan saw as a plane."""
-    cells = scans.trace(faces, settings.for_unseen_faces, windows)
-    return TracedFaces.of(faces, cells, scans.storey, settings.standing_walls.ceiling_near_m)
+    evidence = scans.trace(faces, windows)
+    return TracedFaces.of(faces, evidence, scans.storey, settings.standing_walls.ceiling_near_m, RECESS)

@@ -16,6 +16,8 @@ from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, lengths_m, moved, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import FILLED, SUM, THROUGH, WallCells, with_neighbours
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import column_places, long_runs, runs, visited
 from ffmap.algorithms.building.face_verdicts import (
     SAME_WAY,
@@ -26,14 +28,6 @@ from ffmap.algorithms.building.face_verdicts import (
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, Walls, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, lies_on_sheet
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    SUM,
-    THROUGH,
-    WallCells,
-    with_neighbours,
-)
 from ffmap.algorithms.building.unexplained_lines import (
     both_sides,
     from_behind,

@@ -7,12 +7,13 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import segments
+from ffmap.algorithms.building.cells import FILLED, THROUGH, mean_before_m
 from ffmap.algorithms.building.closed_doors import closed_door
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import TracedFaces, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, ON_FACE_M, Doors, Windows, cells_in
 from ffmap.algorithms.building.openings import OpeningRules, deepest_sheet_m, widened
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, mean_before_m
 from ffmap.algorithms.building.windows import wall_of
 from ffmap.algorithms.scan.doors import DoorState
 

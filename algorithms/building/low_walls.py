@@ -14,6 +14,8 @@ from ffmap.algorithms.base.known import median_known
 from ffmap.algorithms.base.scan import BoolArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import FILLED, depth_moments, with_neighbours
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import (
     TracedFace,
     TracedFaces,
@@ -23,7 +25,6 @@ from ffmap.algorithms.building.face_columns import (
 )
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, depth_moments, with_neighbours
 from ffmap.algorithms.building.unexplained_lines import Line, both_sides
 
 _STANDS_MIN = 0.8

@@ -13,6 +13,8 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import FILLED, THROUGH, with_neighbours
+from ffmap.algorithms.building.evidence import FOOT_ROW, first_columns
 from ffmap.algorithms.building.face_columns import (
     Columns,
     FaceColumnsSettings,
@@ -42,13 +44,6 @@ from ffmap.algorithms.building.model import (
     cells_in,
 )
 from ffmap.algorithms.building.openings import widened
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    THROUGH,
-    first_columns,
-    with_neighbours,
-)
 from ffmap.algorithms.building.unexplained_lines import (
     Line,
     both_sides,

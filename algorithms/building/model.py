@@ -40,8 +40,7 @@ class BuildingSettings(StepSettings):
     near_m: float = Field(
         0.35, gt=0, description="A return at most this far (m) behind a wall's face is a leaf; deeper, it went through."
     )
-    range_m: float = Field(12.0, gt=0, description="Rays from farther (m) tell nothing of doors and windows.")
-    far_m: float = Field(25.0, gt=0, description="Rays from farther (m) tell nothing of walls, seen through doors.")
+    range_m: float = Field(25.0, gt=0, description="Rays from farther (m) tell nothing of walls, seen through doors.")
     recess_min_m: float = Field(
         0.016,
         gt=0,
@@ -74,10 +73,6 @@ class BuildingSettings(StepSettings):
         0.6, gt=0, le=1, description="Share of a leaf, of its casing and of the wall beside it that has to be seen."
     )
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
-
-    def for_faces(self) -> "BuildingSettings":
-        """Rays tell of faces from farther away than of doors and windows."""
-        return self.model_copy(update={"range_m": self.far_m})
 
 
 @dataclass(frozen=True)

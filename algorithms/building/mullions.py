@@ -7,25 +7,19 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, moved, segments
+from ffmap.algorithms.building.cells import FILLED, THROUGH, WallCells, depth_moments
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import runs
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_MULLIONS,
     ON_FACE_M,
-    BuildingSettings,
     Mullions,
     Walls,
     Windows,
     cells_in,
 )
 from ffmap.algorithms.building.openings import OpeningRules
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    THROUGH,
-    WallCells,
-    depth_moments,
-)
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
 from ffmap.algorithms.building.windows import is_beside
 
@@ -38,7 +32,7 @@ _UPRIGHT_MIN = 0.8  # Share of a pane's height over which they do
 
 
 def find_mullions(
-    windows: Windows, trace: Callable[[Walls, BuildingSettings], WallCells], rules: OpeningRules
+    windows: Windows, trace: Callable[[Walls], WallCells], rules: OpeningRules
 ) -> Mullions:
     """What parts the panes of glazed fronts and stands out of them.
 
@@ -58,7 +52,7 @@ def find_mullions(
     plane_m = 0.5 * _OUT_MAX_M
     wide = lengthened(fronts.ends, _WIDTH_MAX_M + 2.0 * CELL_M)
     faces = unseen_faces(moved(wide, fronts.normal, np.full(len(wide), plane_m)), fronts.normal, fronts.top_m)
-    cells = trace(faces, rules.building.model_copy(update={"near_m": plane_m - _OFF_PANE_M, "own_plane_m": 0.0}))
+    cells = trace(faces)
     found = NO_MULLIONS
     for k in range(len(fronts)):
         pane = Segment.between(wide[k], fronts.normal[k])

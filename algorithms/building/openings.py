@@ -1,6 +1,6 @@
 """What the columns of a wall's face say of openings in it: doorways, leaves, panes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +9,16 @@ from scipy import ndimage
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import (
+    FILLED,
+    SUM,
+    THROUGH,
+    depth_moments,
+    mean_before_m,
+    returns_at_face,
+    with_neighbours,
+)
+from ffmap.algorithms.building.evidence import BEYOND, FOOT_ROW, LAYERS_M
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
     CELL_M,
@@ -16,16 +26,6 @@ from ffmap.algorithms.building.model import (
     BuildingSettings,
     cells_in,
     stretches,
-)
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    SUM,
-    THROUGH,
-    depth_moments,
-    mean_before_m,
-    returns_at_face,
-    with_neighbours,
 )
 
 
@@ -291,6 +291,11 @@ def find_sheet(counts: FloatArray, rules: OpeningRules) -> Sheet | None:
     # What reaches as deep as is looked goes on beyond: a leaf that is ajar.
     rows = int(on_sheet.any(axis=0).sum())
     return Sheet(behind_m, int(returns), rows) if behind_m < deepest_sheet_m(rules) else None
+
+
+def deep_rules(rules: OpeningRules) -> OpeningRules:
+    """The same for rays that are told apart as deep as the evidence of a face reaches."""
+    return replace(rules, building=rules.building.model_copy(update={"near_m": -LAYERS_M[BEYOND]}))
 
 
 def deepest_sheet_m(rules: OpeningRules) -> float:

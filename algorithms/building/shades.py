@@ -11,9 +11,9 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment
+from ffmap.algorithms.building.cells import FILLED, THROUGH, mean_before_m
 from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, BuildingSettings, cells_in
-from ffmap.algorithms.building.ray_evidence import FILLED, THROUGH, mean_before_m
 
 _RETURNS_MIN = 2  # Of a cell, for its mean to count
 _OF_FACE = 0.4  # Minimum share

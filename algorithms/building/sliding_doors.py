@@ -13,8 +13,10 @@ import numpy as np
 from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, segments
+from ffmap.algorithms.building.cells import FILLED, THROUGH, mean_before_m
 from ffmap.algorithms.building.closed_doors import closed_door
 from ffmap.algorithms.building.door_casings import DoorCasingsSettings
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.face_columns import TracedFace, TracedFaces, runs
 from ffmap.algorithms.building.model import (
     CELL_M,
@@ -26,7 +28,6 @@ from ffmap.algorithms.building.model import (
     Windows,
     cells_in,
 )
-from ffmap.algorithms.building.ray_evidence import FILLED, FOOT_ROW, THROUGH, mean_before_m
 from ffmap.algorithms.scan.doors import DoorState
 
 

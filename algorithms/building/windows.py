@@ -20,6 +20,15 @@ from ffmap.algorithms.base.segments import (
     segments,
 )
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.cells import (
+    FILLED,
+    THROUGH,
+    WallCells,
+    mean_before_m,
+    returns_at_face,
+    with_neighbours,
+)
+from ffmap.algorithms.building.evidence import DEEP, FOOT_ROW, LAYERS_M
 from ffmap.algorithms.building.face_columns import TracedFaces, long_runs, on_and_passed, runs
 from ffmap.algorithms.building.face_verdicts import SAME_WAY
 from ffmap.algorithms.building.model import (
@@ -33,23 +42,14 @@ from ffmap.algorithms.building.model import (
 )
 from ffmap.algorithms.building.openings import (
     OpeningRules,
-    deepest_sheet_m,
+    deep_rules,
     find_sheet,
     is_open_to_floor,
     is_pane,
     look_for_doors,
     widened,
 )
-from ffmap.algorithms.building.ray_evidence import (
-    FILLED,
-    FOOT_ROW,
-    THROUGH,
-    Rays,
-    WallCells,
-    mean_before_m,
-    returns_at_face,
-    with_neighbours,
-)
+from ffmap.algorithms.building.rays import Rays
 from ffmap.algorithms.building.unexplained_lines import unseen_faces
 from ffmap.algorithms.scan.summary import Features, select_rays
 
@@ -151,8 +151,8 @@ def look_deeper(
     unknown = np.flatnonzero(np.isnan(windows.pane_m))
     if not len(unknown):
         return windows
-    deep, deepest_m = windows.select(unknown), deepest_sheet_m(rules)
-    cells = trace(unseen_faces(deep.ends - deepest_m * deep.normal[:, None], deep.normal, deep.top_m))
+    deep, rules = windows.select(unknown), deep_rules(rules)
+    cells = trace(unseen_faces(deep.ends, deep.normal, deep.top_m))
     pane_m = windows.pane_m.copy()
     for k, own in enumerate(unknown):
         rows = slice(cells_in(deep.bottom_m[k]), cells_in(deep.top_m[k]))
@@ -160,7 +160,7 @@ def look_deeper(
         returned, passed = counts[..., FILLED].sum(), counts[..., THROUGH].sum()
         # Nothing passes what stands behind the wall.
         if passed > settings.translucent_min * (returned + passed):
-            pane_m[own] = deepest_m + find_pane_m(counts, rules)
+            pane_m[own] = find_pane_m(counts, rules)
     return replace(windows, pane_m=pane_m)
 
 
@@ -406,15 +406,13 @@ def find_pane_m(counts: FloatArray, rules: OpeningRules) -> float:
     return sheet.behind_m
 
 
-def without_panes(faces: TracedFaces, windows: Windows, near_m: float) -> TracedFaces:
+def without_panes(faces: TracedFaces, windows: Windows) -> TracedFaces:
     """The faces without the rays that count as passed within known windows: what glass, bars or posters return there is not beyond
     the wall.
-
-    near_m: maximum distance of a window's ends from the face of its wall: those of a glazed front lie on its pane.
     """
     if not len(windows):
         return faces
-    counts = faces.cells.counts.copy()
+    ended, near_m = faces.evidence.ended.copy(), -LAYERS_M[DEEP + 1]
     for w, face in enumerate(segments(faces.walls)):
         own = faces.columns(w)
         for k in range(len(windows)):
@@ -422,11 +420,10 @@ def without_panes(faces: TracedFaces, windows: Windows, near_m: float) -> Traced
                 low, high = np.clip(np.sort(face.place_m(windows.ends[k])), 0.0, face.length_m)
                 columns = slice(own.start + int(low / CELL_M), own.start + int(np.ceil(high / CELL_M)))
                 rows = slice(cells_in(windows.bottom_m[k]), cells_in(windows.top_m[k]))
-                cells = counts[columns, rows]
-                on, passed = on_and_passed(cells)
+                on, passed = on_and_passed(faces.cells.counts[columns, rows])
                 # A curtain before the pane stays.
-                cells[passed > on] = 0.0
-    return replace(faces, cells=replace(faces.cells, counts=counts))
+                ended[columns, rows][passed > on] = 0.0
+    return replace(faces, evidence=replace(faces.evidence, ended=ended))
 
 
 def seen_through(windows: Windows, features: Features) -> BoolArray:

@@ -13,7 +13,7 @@ from scipy.ndimage import binary_closing, binary_dilation, binary_propagation
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.building.drive import Drive
-from ffmap.algorithms.building.ray_evidence import Rays, floor_m
+from ffmap.algorithms.building.rays import Rays, floor_m
 from ffmap.algorithms.maps.grid import MARGIN_M, Cell, GridMap, window
 from ffmap.algorithms.scan.summary import Features
 

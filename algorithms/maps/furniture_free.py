@@ -10,6 +10,8 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, segments
+from ffmap.algorithms.building.cells import THROUGH, WallCells, returns_at_face
+from ffmap.algorithms.building.evidence import FOOT_ROW
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
     CELL_M,
@@ -19,7 +21,6 @@ from ffmap.algorithms.building.model import (
     cells_in,
     stretches,
 )
-from ffmap.algorithms.building.ray_evidence import FOOT_ROW, THROUGH, WallCells, returns_at_face
 from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.free_space import Draft

@@ -1,6 +1,6 @@
 """Fuse the walls, openings and levels of all scans, and draw the maps of the building."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -9,9 +9,10 @@ import numpy as np
 from ffmap.algorithms.base.scan import BoolArray
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce, new_views
+from ffmap.algorithms.building.evidence import Evidence, trace_shared
 from ffmap.algorithms.building.fusion import Building, fuse_building
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Walls, Windows
-from ffmap.algorithms.building.ray_evidence import WallCells, trace_shared
+from ffmap.algorithms.building.rays import OwnPlane
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.maps.all_maps import Maps
 from ffmap.algorithms.maps.area_graph import Segmented
@@ -49,8 +50,9 @@ def fuse_all_scans(
     report.progress.stage("building", None)
     features = _FeaturesOfScans.of(run, labelled, trajectory)
     drive = Drive(trajectory.T_map_base[:, :3, 3], features.read)
-    trace = TraceOnce(_RayCounts(features, run.options.workers))
-    evidence = AllScans(drive, labelled.votes, labelled.rivals, trace, run.settings.levels)
+    rays = _RayCounts(features, run.settings.building, run.options.workers)
+    votes, rivals = labelled.votes, labelled.rivals
+    evidence = AllScans(drive, votes, rivals, TraceOnce(rays), rays.within, run.settings.levels)
     building = fuse_building(evidence, run.settings.fusion)
     if report.log is not None:
         log_fused_walls(report.log, building.aligned)
@@ -90,18 +92,28 @@ class _FeaturesOfScans:
 class _RayCounts:
     """`TracePart` in several threads. Rays that end beyond windows are kept for the next call."""
 
-    def __init__(self, features: _FeaturesOfScans, workers: int) -> None:
+    def __init__(
+        self, features: _FeaturesOfScans, settings: BuildingSettings, workers: int
+    ) -> None:
         self._features, self._workers = features, workers
+        self._range_m, self._own = settings.range_m, OwnPlane.of(settings)
         self._windows, self._beyond = NO_WINDOWS.key, list[Features]()
 
-    def __call__(
-        self, faces: Walls, settings: BuildingSettings, through: Windows | None
-    ) -> WallCells:
+    def __call__(self, faces: Walls, through: Windows | None) -> Evidence:
         if through is None:
-            return trace_shared(faces, self._features.read, settings, self._workers)
+            return self._traced(faces, self._features.read)
         if through.key != self._windows:
             self._windows, self._beyond = through.key, self._rays_beyond(through)
-        return trace_shared(faces, lambda: self._beyond, settings, self._workers)
+        return self._traced(faces, lambda: self._beyond)
+
+    def within(self, openings: Walls) -> Evidence:
+        """Book all rays in openings where they ended."""
+        return self._traced(openings, self._features.read, at_ends=True)
+
+    def _traced(
+        self, faces: Walls, blocks: Callable[[], Iterable[Features]], at_ends: bool = False
+    ) -> Evidence:
+        return trace_shared(faces, blocks, self._range_m, self._own, self._workers, at_ends)
 
     def _rays_beyond(self, windows: Windows) -> list[Features]:
         def of_block(block: Features) -> list[Features]:

@@ -35,7 +35,9 @@ from ffmap.algorithms.building.low_walls import LowWallsSettings
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.openings import OpeningsSettings
+from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.building.unseen_walls import UnseenWallsSettings
 from ffmap.algorithms.building.windows import WindowsSettings
 from ffmap.algorithms.maps.all_maps import MapsSettings
 from ffmap.algorithms.maps.area_graph import AreaGraphSettings
@@ -136,7 +138,9 @@ class Settings(StepSettings):
     face_steps: FaceStepsSettings = FaceStepsSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
     folds: FoldsSettings = FoldsSettings()
+    parse: ParseSettings = ParseSettings()
     missed_walls: MissedWallsSettings = MissedWallsSettings()
+    unseen_walls: UnseenWallsSettings = UnseenWallsSettings()
     low_walls: LowWallsSettings = LowWallsSettings()
     foreground: ForegroundSettings = ForegroundSettings()
     openings: OpeningsSettings = OpeningsSettings()

@@ -1,0 +1,318 @@
+"""What the rays of all scans found in each cell of each wall face, by how deep they ended.
+
+Nikoohemat et al. (2018) tell a wall's cells apart as filled, empty and occluded by the rays that
+passed them. Here a cell says in addition in which layer of depth the rays that crossed it ended.
+"""
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.plan_index import SECTORS, enter, sector_of, sectors_around
+from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.building.model import CELL_M, Walls
+from ffmap.algorithms.building.rays import OwnPlane, Rays, floor_m, own_plane
+from ffmap.algorithms.scan.summary import Features
+
+BEFORE, ON, RECESS, DEEP, FAR, BEYOND = range(6)
+"""Layers of depth in which rays ended: before the face, on it, behind it by less than `LAYERS_M`,
+and beyond all of these."""
+LAYERS_M = (0.10, 0.04, -0.03, -0.12, -0.35, -1.0)
+"""Where the layers begin (m before the face): those of the face as its range noise and the scatter
+of poses are, of a leaf in a frame's rebate, in a wall's reveal, and in the room behind."""
+FOOT_ROW = 2
+"""The lowest row above sills, skirting boards and the floor's own returns."""
+ANGLES_DEG = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0)
+"""What parts angles of incidence: only returns of like angles have comparable intensities."""
+_AT_FACE_M = 0.06
+"""Returns this near a face are its own, and tell how strongly it reflects."""
+_LEVEL_BEHIND_M = 0.06
+"""Floor and ceiling this far (m) behind a face are seen through an opening in it."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The rays of all scans in the cells of wall faces: columns along each, rows from the floor up.
+
+    first: (W + 1,) the column at which each face begins.
+    ended: (columns, rows, 6) float32: rays that crossed the cell, by the layer they ended in. Rays
+    that ended before the face count where they ended.
+    depth_sum, depth_squares: (columns, rows, 5) float32: sums over the rays of each layer but the
+    last, of their distance before the face (m, negative behind), and of its square.
+    light: (columns, rows, angles, 2) float32: returns at the face of which the intensity is known,
+    and its sum, by the angle of incidence (`ANGLES_DEG`); (0, rows, angles, 2) without any.
+    """
+
+    first: IntArray
+    ended: FloatArray
+    depth_sum: FloatArray
+    depth_squares: FloatArray
+    light: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.first) - 1
+
+    @property
+    def rows(self) -> int:
+        """Rows of cells."""
+        return int(self.ended.shape[1])
+
+    def columns(self, w: int) -> slice:
+        """The columns of one face."""
+        return slice(int(self.first[w]), int(self.first[w + 1]))
+
+    def of(self, w: int) -> "Evidence":
+        """Of one face alone."""
+        own = self.columns(w)
+        return Evidence(
+            self.first[w : w + 2] - self.first[w],
+            self.ended[own],
+            self.depth_sum[own],
+            self.depth_squares[own],
+            self.light[own],
+        )
+
+    def part(self, stretches: list[tuple[int, int, int]]) -> tuple[IntArray, "Evidence"]:
+        """Of stretches, each a face, its first column and the one after its last, as own faces.
+
+        Returns their columns (c,) here too.
+        """
+        parts = [self.first[w] + np.arange(first, after) for w, first, after in stretches]
+        columns = np.concatenate([np.zeros(0, np.int64), *parts])
+        starts = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
+        light = self.light[columns] if len(self.light) else self.light
+        sums = self.ended[columns], self.depth_sum[columns], self.depth_squares[columns]
+        return columns, Evidence(starts, *sums, light)
+
+    def minus(self, less: "Evidence") -> "Evidence":
+        """Without what some of these rays found of the same faces."""
+        return replace(
+            self,
+            ended=self.ended - less.ended,
+            depth_sum=self.depth_sum - less.depth_sum,
+            depth_squares=self.depth_squares - less.depth_squares,
+            light=self.light - less.light if len(less.light) else self.light,
+        )
+
+
+def trace(
+    walls: Walls,
+    blocks: Iterable[Features],
+    range_m: float,
+    own: OwnPlane,
+    at_ends: bool = False,
+    with_light: bool = False,
+) -> Evidence:
+    """Book every ray in the cells of the faces that look towards its origin.
+
+    Where the scan has a plane of its own of a wall, rays are measured against that: a leaf lies
+    centimetres behind its wall, and the pose may be off by a part of that.
+
+    range_m: rays from farther tell nothing. blocks: features in any portions. at_ends: book what
+    ended behind the face, but not beyond, where it ended: on a reveal it would seem to be within.
+    """
+    first = first_columns(walls)
+    shape = int(first[-1]), rows_of(walls)
+    ended = np.zeros((*shape, 6), np.float32)
+    depth_sum, squares = np.zeros((*shape, 5), np.float32), np.zeros((*shape, 5), np.float32)
+    angles = (len(ANGLES_DEG) + 1, 2)
+    light = np.zeros((0, shape[1], *angles), np.float32)
+    layers, cosines = np.array(LAYERS_M), np.cos(np.radians(ANGLES_DEG))
+    for block in blocks:
+        rays = Rays.of(block)
+        if with_light and len(rays.intensity) and not len(light):
+            light = np.zeros((*shape, *angles), np.float32)
+        sums = ended, depth_sum, squares, light
+        rules = range_m, own, at_ends, layers, cosines
+        _trace(walls.ends, walls.normal, first, *sums, rays, *rules)
+    return Evidence(first, ended, depth_sum, squares, light)
+
+
+def first_columns(walls: Walls) -> IntArray:
+    """(W + 1,) the column at which each face begins, all faces' columns one after the other."""
+    counts = np.ceil(lengths_m(walls.ends) / CELL_M)
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
+def rows_of(walls: Walls) -> int:
+    """How many rows of cells faces have: half a metre more than the highest of them needs."""
+    return int(np.ceil((float(walls.top_m.max(initial=2.0)) + 0.5) / CELL_M))
+
+
+@numba.njit(cache=True, nogil=True)
+def _looks_at(
+    origin: FloatArray, ends: FloatArray, normal: FloatArray, range_m: float
+) -> bool:  # pragma: no cover
+    """Whether a face is seen from its front side, from at most `range_m` away."""
+    ox, oy = origin[0] - ends[0, 0], origin[1] - ends[0, 1]
+    reach = normal[0] * ox + normal[1] * oy
+    if reach < 0.1 or reach > range_m:
+        return False
+    dx, dy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    length = np.sqrt(dx * dx + dy * dy)
+    nearest = min(max((ox * dx + oy * dy) / length, 0.0), length)
+    return bool(np.hypot(dx / length * nearest - ox, dy / length * nearest - oy) <= range_m)
+
+
+@numba.njit(cache=True, nogil=True)
+def _sectors(
+    origin: FloatArray, ends: FloatArray, normal: FloatArray, plane: FloatArray
+) -> tuple[int, int]:  # pragma: no cover
+    """Find the sectors in which a ray may cross a face, or end close before it.
+
+    Returns the first, and how many there are from there on. plane: (5,) the scan's own view of the
+    face, from `own_plane`.
+    """
+    reach = normal[0] * (origin[0] - ends[0, 0]) + normal[1] * (origin[1] - ends[0, 1])
+    cos_angle = normal[0] * plane[0] + normal[1] * plane[1]
+    corners = np.empty((4, 2))
+    dx, dy = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    length = np.sqrt(dx * dx + dy * dy)
+    for k in range(4):
+        # The last column may reach beyond the face's end.
+        share = 1.0 + CELL_M / length if k // 2 else 0.0
+        x, y = ends[0, 0] + share * dx, ends[0, 1] + share * dy
+        # The scan's own plane meets the upright of the face's end here.
+        off = (plane[2] - plane[0] * x - plane[1] * y) / cos_angle
+        before = max(off, 0.0) + LAYERS_M[BEFORE] if k % 2 else min(off, 0.0) - CELL_M
+        if before > reach - 0.1:
+            return 0, SECTORS
+        corners[k, 0] = x + before * normal[0] - origin[0]
+        corners[k, 1] = y + before * normal[1] - origin[1]
+    return sectors_around(corners)
+
+
+@numba.njit(cache=True, nogil=True)
+def _trace(
+    ends: FloatArray,
+    normal: FloatArray,
+    first: IntArray,
+    ended: FloatArray,
+    depth_sum: FloatArray,
+    squares: FloatArray,
+    light: FloatArray,
+    rays: Rays,
+    range_m: float,
+    own: OwnPlane,
+    at_ends: bool,
+    layers_m: FloatArray,
+    cosines: FloatArray,
+) -> None:  # pragma: no cover
+    faces, rows = len(ends), ended.shape[1]
+    has_light = len(light) > 0 and len(rays.intensity) > 0
+    origin, starts, ray_end, label = rays.origin, rays.starts, rays.end, rays.label
+    along = np.empty((faces, 2))
+    for w in range(faces):
+        dx, dy = ends[w, 1, 0] - ends[w, 0, 0], ends[w, 1, 1] - ends[w, 0, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        along[w, 0], along[w, 1] = dx / length, dy / length
+    planes = np.empty((faces, 5))
+    in_sector, met = np.empty((SECTORS, faces), np.int32), np.zeros(SECTORS, np.int64)
+    for s in range(len(origin)):
+        ox, oy, oz = origin[s, 0], origin[s, 1], origin[s, 2]
+        met[:] = 0
+        for w in range(faces):
+            if not _looks_at(origin[s], ends[w], normal[w], range_m):
+                continue
+            planes[w] = own_plane(ends[w], normal[w], rays, s, own)
+            enter(w, *_sectors(origin[s], ends[w], normal[w], planes[w]), in_sector, met)
+        for r in range(starts[s], starts[s + 1]):
+            x0, y0, z0 = np.float64(ray_end[r, 0]), np.float64(ray_end[r, 1]), ray_end[r, 2]
+            sector = sector_of(x0 - ox, y0 - oy)
+            for k in range(met[sector]):
+                w = in_sector[sector, k]
+                dx, dy = along[w, 0], along[w, 1]
+                nx, ny = normal[w, 0], normal[w, 1]
+                offset = nx * ends[w, 0, 0] + ny * ends[w, 0, 1]
+                reach = nx * ox + ny * oy - offset
+                side = nx * x0 + ny * y0 - offset
+                share = reach / (reach - side) if side < 0.0 < reach else 1.0
+                x, y = ox + share * (x0 - ox), oy + share * (y0 - oy)
+                place = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
+                if planes[w, 3] - own.margin_m < place < planes[w, 4] + own.margin_m:
+                    nx, ny, offset = planes[w, 0], planes[w, 1], planes[w, 2]
+                    reach = nx * ox + ny * oy - offset
+                    side = nx * x0 + ny * y0 - offset
+                if reach < 0.1 or side > layers_m[BEFORE]:
+                    continue
+                layer = BEYOND
+                # Floor and ceiling behind an opening are none of what closes it.
+                level = label[r] == Label.FLOOR or label[r] == Label.CEILING
+                if not level or side > -_LEVEL_BEHIND_M:
+                    layer = BEFORE
+                    while layer < BEYOND and side <= layers_m[layer + 1]:
+                        layer += 1
+                share = 1.0
+                if side < 0.0 and (layer == BEYOND or not at_ends):
+                    share = reach / (reach - side)
+                x, y, z = ox + share * (x0 - ox), oy + share * (y0 - oy), oz + share * (z0 - oz)
+                place = (x - ends[w, 0, 0]) * dx + (y - ends[w, 0, 1]) * dy
+                column = int(np.floor(place / CELL_M))
+                if column < 0 or column >= first[w + 1] - first[w]:
+                    continue
+                row = int(np.floor((z - floor_m(rays.floors, s, x, y)) / CELL_M))
+                if row < 0 or row >= rows:
+                    continue
+                column += first[w]
+                ended[column, row, layer] += 1.0
+                if layer < BEYOND:
+                    depth_sum[column, row, layer] += side
+                    squares[column, row, layer] += side * side
+                if has_light and abs(side) < _AT_FACE_M and np.isfinite(rays.intensity[r]):
+                    length = np.sqrt((x0 - ox) ** 2 + (y0 - oy) ** 2 + (z0 - oz) ** 2)
+                    cosine, angle = (reach - side) / length, 0
+                    while angle < len(cosines) and cosine < cosines[angle]:
+                        angle += 1
+                    light[column, row, angle, 0] += 1.0
+                    light[column, row, angle, 1] += rays.intensity[r]
+
+
+def trace_shared(
+    walls: Walls,
+    blocks: Callable[[], Iterable[Features]],
+    range_m: float,
+    own: OwnPlane,
+    workers: int,
+    at_ends: bool = False,
+    with_light: bool = False,
+) -> Evidence:
+    """Trace in several threads, each of which books all rays in some of the faces.
+
+    No sum depends on the number of threads. blocks: gives all features anew each time.
+    """
+    parts = max(min(workers, 4, len(walls)), 1)
+    # Long faces and short ones, of all rooms, so that no thread has most of the work.
+    by_part = [slice(part, None, parts) for part in range(parts)]
+    as_high = replace(walls, top_m=np.full(len(walls), walls.top_m.max(initial=0.0)))
+    with ThreadPoolExecutor(parts) as threads:
+        found = list(
+            threads.map(
+                lambda chosen: trace(
+                    as_high.select(chosen), blocks(), range_m, own, at_ends, with_light
+                ),
+                by_part,
+            )
+        )
+    return joined([found[w % parts].of(w // parts) for w in range(len(walls))], rows_of(walls))
+
+
+def joined(faces: list[Evidence], rows: int) -> Evidence:
+    """The evidence of several faces, each at least `rows` high, one after the other."""
+    first = np.concatenate([[0], np.cumsum([len(face.ended) for face in faces])]).astype(np.int64)
+
+    def stacked(name: str, *shape: int) -> FloatArray:
+        none = np.zeros((0, rows, *shape), np.float32)
+        return np.concatenate([none, *(getattr(face, name)[:, :rows] for face in faces)])
+
+    return Evidence(
+        first,
+        stacked("ended", 6),
+        stacked("depth_sum", 5),
+        stacked("depth_squares", 5),
+        stacked("light", len(ANGLES_DEG) + 1, 2),
+    )

@@ -1,0 +1,502 @@
+"""What each stretch of a wall face is: wall, doorway, window, furniture, found by one parse.
+
+A face is parsed from one end to the other into stretches, each of a kind that says of which
+material its cells are below a sill, up to a head, and above. The parse with the highest odds is
+found by dynamic programming over the ends of stretches (a semi-Markov model: Sarawagi and Cohen,
+2004), with sums over columns, so that a rectangle of one material costs two reads.
+"""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numba
+import numpy as np
+from pydantic import Field
+from scipy.special import ndtr
+
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.evidence import BEFORE, DEEP, ON, RECESS
+from ffmap.algorithms.building.model import CELL_M, cells_in
+
+
+class Material(IntEnum):
+    """Of what a cell of a face is, by where the rays that cross it end."""
+
+    SOLID = 0
+    AIR = 1
+    LEAF_RECESSED = 2
+    LEAF_DEEP = 3
+    LEAF_FAR = 4
+    LEAF_BEFORE = 5
+    ANYTHING = 6
+    """What lies behind an opening, whatever it is."""
+    SET_BACK = 7
+    """What closes an opening behind the face: a blind, a leaf."""
+
+
+SHARES = np.array(
+    [
+        [0.975, 0.008, 0.007, 0.01],
+        [0.11, 0.25, 0.25, 0.8],
+        [0.97, 0.01, 0.01, 0.01],
+        [0.05, 0.92, 0.02, 0.01],
+        [0.04, 0.03, 0.92, 0.01],
+    ]
+)
+"""(5, 4) of the first five materials: the share of rays that end on the face or in its recess, deep
+in it, far behind, and beyond, measured on drives with ground truth. Air does not sum to one: what
+lies behind an opening is the scene's."""
+_RECESS_M = 0.015, 0.12
+"""Least and greatest depth (m) of what is recessed: DIN 18101 has leaves 1.5 cm and more back."""
+_RAY_M, _FACE_M = 0.015, 0.006
+"""Standard deviation (m) of one return, and of a cell's mean however many returns it has."""
+_LEAF_LESS = np.array([0.8, 0.3, 0.3])
+"""How much less likely (nats) a leaf is than air where nothing is known of an opening."""
+_BEFORE_SHARES = 0.9, 0.04
+"""Share of rays that end on a leaf before the face, and that pass it."""
+
+
+class Kind(IntEnum):
+    """What a stretch of a face is."""
+
+    WALL = 0
+    GAP = 1
+    """The face does not go on here."""
+    HIDDEN = 2
+    """Neither wall nor opening: what stands close before the face mixes with it."""
+    DOORWAY = 3
+    LEAF_RECESSED = 4
+    LEAF_DEEP = 5
+    LEAF_FAR = 6
+    LEAF_BEFORE = 7
+    WINDOW = 8
+    PANE = 9
+    LOW = 10
+    """Something ends below the ceiling: a cupboard, a parapet."""
+    HANGING = 11
+    """Something hangs from the ceiling: a duct, a beam."""
+
+
+DOORS = Kind.DOORWAY, Kind.LEAF_RECESSED, Kind.LEAF_DEEP, Kind.LEAF_FAR, Kind.LEAF_BEFORE
+OPENINGS = (*DOORS, Kind.WINDOW, Kind.PANE)
+OF_WALLS = (Kind.WALL, *OPENINGS)
+"""What a wall consists of."""
+
+
+class ParseSettings(StepSettings):
+    """Parsing wall faces into walls, openings and furniture."""
+
+    rays_full: float = Field(
+        4.0,
+        gt=0,
+        description="Rays of a cell beyond which more tell hardly more: those of one scan err "
+        "alike.",
+    )
+    odds_max: float = Field(
+        6.0, gt=0, description="Maximum odds (nats) of one cell against a material: 1 in 400 errs."
+    )
+    cells_together: float = Field(
+        4.0, ge=1, description="Neighbouring cells that err together, as drift moves them together."
+    )
+    change: float = Field(
+        8.0, ge=0, description="Price (nats) of an edge between two stretches of a face."
+    )
+    opening: float = Field(4.0, ge=0, description="Price (nats) of a doorway, a leaf or a window.")
+    high_end: float = Field(
+        8.0,
+        ge=0,
+        description="Price (nats) of a thing that ends above 2.25 m or close to the ceiling.",
+    )
+    blind: float = Field(
+        8.0, ge=0, description="Price (nats) of something that hangs in a window and closes it."
+    )
+    pane: float = Field(12.0, ge=0, description="Price (nats) of a pane down to the floor.")
+    hanging: float = Field(
+        40.0, ge=0, description="Price (nats) of what hangs: a doorway's lintel hangs as well."
+    )
+    no_lintel: float = Field(
+        40.0, ge=0, description="Price (nats) of a doorway above which no wall was seen."
+    )
+    hidden: float = Field(
+        4.0, ge=0, description="Odds (nats) of a cell against being hidden, though it was seen."
+    )
+    open_end: float = Field(3.0, ge=0, description="Price (nats) of an opening at a face's end.")
+    door_width_m: tuple[float, float] = Field(
+        (0.6, 2.6), description="Width (m) of doors, single and double."
+    )
+    door_head_m: tuple[float, float] = Field(
+        (1.8, 2.65), description="Height (m) of doors' heads above the floor."
+    )
+    window_sill_m: tuple[float, float] = Field(
+        (0.35, 1.7), description="Height (m) of windows' sills above the floor."
+    )
+    window_size_m: float = Field(0.3, gt=0, description="Least width and height (m) of a window.")
+
+
+FOOT_ROW = 2
+"""The lowest row (cells) above sills, skirting boards and the floor's own returns."""
+_STRETCH_MAX = 80
+"""Longest stretch (columns) of one kind that is tried; longer things go on in another stretch."""
+_CHAIN = 4.0
+"""Price (nats) of a mullion between two windows, of a beam's or a shelf's next piece a quarter."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of a face.
+
+    first, after: its first column and the one after its last. sill, head: rows below and from
+    which it is another material: see `Kind`. blind: the row from which, up to the head, something
+    closes a window; the head where nothing does. odds: nats against the next best kind, second.
+    """
+
+    kind: Kind
+    first: int
+    after: int
+    sill: int
+    head: int
+    blind: int
+    odds: float
+    second: Kind
+
+    @property
+    def width_m(self) -> float:
+        """Its width (m)."""
+        return (self.after - self.first) * CELL_M
+
+    @property
+    def columns(self) -> slice:
+        """Its columns."""
+        return slice(self.first, self.after)
+
+
+def material_odds(
+    ended: FloatArray, depth_sum: FloatArray, top: IntArray, settings: ParseSettings
+) -> FloatArray:
+    """Log odds (c, rows, 8) of each cell for each material, against the likeliest of all.
+
+    Where rays end tells materials apart but for what is recessed by centimetres: that the mean
+    depth of a cell's returns tells, which is known better than any single one.
+
+    ended, depth_sum: (c, rows, …) rays by layer, see `Evidence`. top: (c,) rows up to the ceiling;
+    above, and below the foot, all odds are 0.
+    """
+    near = ended[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64)
+    behind = np.concatenate([near[..., None], ended[..., DEEP:]], axis=-1).astype(np.float64)
+    before, count = ended[..., BEFORE].astype(np.float64), behind.sum(axis=-1)
+    weight = settings.rays_full / (count + settings.rays_full)
+    likely = (behind @ np.log(SHARES).T) * weight[..., None]
+    recess = _recess_odds(near, depth_sum[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64))
+    recess *= near / np.maximum(count, 1.0)
+    likely[..., Material.LEAF_RECESSED] += np.minimum(recess, 0.0)
+    likely[..., Material.SOLID] -= np.maximum(recess, 0.0)
+    likely -= likely.max(axis=-1, keepdims=True)
+    odds = np.maximum(likely, -settings.odds_max)
+    on_leaf, past_leaf = np.log(_BEFORE_SHARES)
+    # A leaf before the face hides the wall: its own rays tell nothing against that.
+    leaf = np.maximum(count * past_leaf * weight, -settings.odds_max)
+    leaf = np.minimum(leaf - 3.0 * on_leaf * np.minimum(before, 3.0), 0.0)
+    anything = np.maximum(odds[..., Material.AIR], (odds[..., 2:5] - _LEAF_LESS).max(axis=-1))
+    rows = np.arange(ended.shape[1])
+    asked = (rows >= FOOT_ROW) & (rows < top[:, None])
+    seen = asked & (count > 0)
+    set_back = odds[..., Material.LEAF_RECESSED : Material.LEAF_FAR].max(axis=-1)
+    more = [layer[..., None] for layer in (leaf, anything, set_back)]
+    all_odds = np.concatenate([odds, *more], axis=-1)
+    all_odds *= seen[..., None]
+    all_odds[..., Material.LEAF_BEFORE] = np.where(asked, leaf, 0.0)
+    return all_odds / settings.cells_together
+
+
+def _recess_odds(count: FloatArray, depth_sum: FloatArray) -> FloatArray:
+    """Log odds of each cell for being recessed against lying in the face, by its mean depth.
+
+    A recess is equally likely of each depth; noise blurs its ends.
+    """
+    behind_m = -depth_sum / np.maximum(count, 1.0)
+    sigma_m = np.sqrt(_RAY_M**2 / np.maximum(count, 1.0) + _FACE_M**2)
+    in_face = -0.5 * (behind_m / sigma_m) ** 2 - np.log(sigma_m * np.sqrt(2.0 * np.pi))
+    low, high = ((limit - behind_m) / sigma_m for limit in _RECESS_M)
+    within = np.maximum(ndtr(high) - ndtr(low), 1e-6)
+    recessed = np.log(within / (_RECESS_M[1] - _RECESS_M[0]))
+    return np.where(count > 0, recessed - in_face, 0.0)
+
+
+def parse_face(
+    ended: FloatArray,
+    depth_sum: FloatArray,
+    top: IntArray,
+    driven: BoolArray,
+    settings: ParseSettings,
+) -> list[Stretch]:
+    """The stretches of one face, from end to end.
+
+    ended, depth_sum: (c, rows, …) rays by layer, see `Evidence`. top: (c,) rows up to the ceiling. driven:
+    (c,) where the robot drove through.
+    """
+    columns, rows = len(ended), int(min(top.max(initial=0) + 1, ended.shape[1]))
+    if not columns:
+        return []
+    odds = material_odds(ended[:, :rows], depth_sum[:, :rows], top, settings)
+    sums = np.concatenate([np.zeros((1, rows, odds.shape[2])), np.cumsum(odds, axis=0)])
+    count = ended[:, :rows, BEFORE + 1 :].sum(axis=-1)
+    between = (np.arange(rows) >= FOOT_ROW) & (np.arange(rows) < top[:, None])
+    seen = (count / (count + settings.rays_full) * between).sum(axis=1)
+    hidden = -settings.hidden / settings.cells_together * seen
+    rules = _grammar(settings)
+    prices = np.array(
+        [
+            settings.change,
+            settings.open_end,
+            settings.no_lintel,
+            _CHAIN,
+            settings.blind,
+            settings.high_end,
+        ]
+    )
+    arrays = sums, top.astype(np.int64), hidden, driven.astype(np.bool_), *rules, prices
+    found = _parse(*arrays)
+    stretches = [
+        Stretch(Kind(kind), first, after, sill, head, blind, odds_, Kind(second))
+        for (first, after, kind, sill, head, blind, second), odds_ in zip(*found, strict=True)
+    ]
+    return _joined(stretches)
+
+
+def _joined(stretches: list[Stretch]) -> list[Stretch]:
+    """Stretches of one kind without sill and head, next to each other, as one."""
+    joined: list[Stretch] = []
+    for own in stretches:
+        last = joined[-1] if joined else None
+        if last is not None and last.kind == own.kind and own.kind <= Kind.HIDDEN:
+            odds = last.odds + own.odds
+            joined[-1] = replace(last, after=own.after, odds=odds)
+        else:
+            joined.append(own)
+    return joined
+
+
+_BY_BANDS = len(Kind) - Kind.DOORWAY
+"""Kinds that are told by a sill and a head."""
+_CEILING = 10_000
+"""A row higher than any ceiling: the band goes on up to that."""
+
+
+def _grammar(settings: ParseSettings) -> tuple[IntArray, IntArray, FloatArray]:
+    """Materials (k, 3) below, between and above, limits (k, 6) and prices (k,) of kinds by bands.
+
+    Limits: lowest and highest sill and head (rows), least and greatest width (columns).
+    """
+    solid, air, anything = Material.SOLID, Material.AIR, Material.ANYTHING
+    foot, ceiling, all_m = (FOOT_ROW, FOOT_ROW), (_CEILING, _CEILING), _STRETCH_MAX * CELL_M
+    width_m, size = settings.door_width_m, cells_in(settings.window_size_m)
+    head = (cells_in(settings.door_head_m[0]), cells_in(settings.door_head_m[1]))
+    sill = (cells_in(settings.window_sill_m[0]), cells_in(settings.window_sill_m[1]))
+    high = (head[0], _CEILING - 1)
+    window = (sill[0] + size, _CEILING - 1)
+    wide = (settings.window_size_m, all_m)
+    table = {
+        Kind.DOORWAY: (anything, foot, head, width_m, settings.opening),
+        Kind.LEAF_RECESSED: (Material.LEAF_RECESSED, foot, head, width_m, settings.opening),
+        Kind.LEAF_DEEP: (Material.LEAF_DEEP, foot, head, width_m, settings.opening),
+        Kind.LEAF_FAR: (Material.LEAF_FAR, foot, head, width_m, settings.opening),
+        Kind.LEAF_BEFORE: (Material.LEAF_BEFORE, foot, head, width_m, 1.5 * settings.opening),
+        Kind.WINDOW: (anything, sill, window, wide, settings.opening),
+        Kind.PANE: (anything, foot, high, wide, settings.pane),
+        Kind.LOW: (air, (6, _CEILING - 1), ceiling, (0.15, all_m), settings.opening),
+        Kind.HANGING: (air, foot, high, (0.15, all_m), settings.hanging),
+    }
+    materials = np.array([[solid, middle, solid] for middle, *_ in table.values()], np.int64)
+    limits = np.array(
+        [(*s, *h, *map(cells_in, w)) for _, s, h, w, _ in table.values()], np.int64
+    )
+    return materials, limits, np.array([price for *_, price in table.values()])
+
+
+@numba.njit(cache=True, nogil=True)
+def _fit(
+    sums: FloatArray,
+    first: int,
+    after: int,
+    limit: int,
+    materials: IntArray,
+    limits: IntArray,
+    prices: FloatArray,
+    no_lintel: float,
+    blind: float,
+    high_end: float,
+    total: FloatArray,
+    score: FloatArray,
+    band: IntArray,
+) -> None:  # pragma: no cover
+    """Write the best odds of each kind by bands over some columns, and its sill and head.
+
+    limit: rows up to the lowest ceiling of these. total: (7,) for the sums over all rows.
+    """
+    columns, rows = after - first, sums.shape[1]
+    below = np.zeros((min(limit, rows) + 1, sums.shape[2]))
+    for row in range(len(below) - 1):
+        for m in range(sums.shape[2]):
+            below[row + 1, m] = below[row, m] + sums[after, row, m] - sums[first, row, m]
+    for m in range(sums.shape[2]):
+        total[m] = below[-1, m]
+        for row in range(len(below) - 1, rows):
+            total[m] += sums[after, row, m] - sums[first, row, m]
+    top = len(below) - 1
+    for k in range(len(materials)):
+        score[k] = -np.inf
+        if columns < limits[k, 4] or columns > limits[k, 5]:
+            continue
+        low, middle, high = materials[k]
+        to_ceiling = limits[k, 2] >= 10_000
+        best, sill = -np.inf, -1
+        closed, closed_from, closed_sill = -np.inf, -1, -1
+        last = top - 2 if limits[k, 1] > 9_000 else limits[k, 1]
+        for row in range(limits[k, 0], top + 1):
+            # A sill at this row, with the band between it and the head.
+            if row <= min(last, top):
+                start = below[row, low] - below[row, middle]
+                if limits[k, 0] == limits[k, 1]:
+                    start = 0.0
+                if start > best:
+                    best, sill = start, row
+            if sill < 0 or to_ceiling:
+                continue
+            if k == 5:  # a window
+                start = best + below[row, middle] - below[row, 7] - blind
+                # What hangs is higher than a frame, and than what the lintel's underside returns.
+                if start > closed and row <= top - 4:
+                    closed, closed_from, closed_sill = start, row, sill
+            if row < limits[k, 2] or row > limits[k, 3] or row < sill + 6:
+                continue
+            value = best + below[row, middle] + total[high] - below[row, high]
+            with_blind = closed + below[row, 7] + total[high] - below[row, high]
+            if row >= closed_from + 4 and with_blind > max(value, score[k]):
+                score[k] = with_blind
+                band[k, 0], band[k, 1], band[k, 2] = closed_sill, row, closed_from
+                continue
+            if k < 5:  # doors
+                lintel = (total[high] - below[row, high]) - (total[6] - below[row, 6])
+                if row > top - 3 or lintel < 0.3 * columns:
+                    value -= no_lintel
+            elif k == 8 and row > top - 2:  # hanging down from nothing
+                continue
+            if value > score[k]:
+                score[k], band[k, 0], band[k, 1], band[k, 2] = value, sill, row, row
+        if to_ceiling and sill >= 0:
+            # Few things end so near the ceiling, or so high.
+            score[k] = best + total[middle] - (high_end if sill > min(top - 7, 45) else 0.0)
+            band[k, 0], band[k, 1], band[k, 2] = sill, top, top
+        score[k] -= prices[k]
+
+
+@numba.njit(cache=True, nogil=True)
+def _parse(
+    sums: FloatArray,
+    top: IntArray,
+    hidden: FloatArray,
+    driven: BoolArray,
+    materials: IntArray,
+    limits: IntArray,
+    kind_prices: FloatArray,
+    prices: FloatArray,
+) -> tuple[IntArray, FloatArray]:  # pragma: no cover
+    """Stretches (n, 7): first, after, kind, sill, head, blind, second kind, and odds (n,)."""
+    columns, rows, kinds = len(sums) - 1, sums.shape[1], 3 + len(materials)
+    change, open_end, no_lintel, chain, blind, high_end = prices
+    wall, gap, doorway, window, low, hanging = 0, 1, 3, 8, 10, 11
+    value = np.full((columns + 1, kinds), -np.inf)
+    begin, before = np.zeros((columns + 1, kinds), np.int64), np.full((columns + 1, kinds), -1)
+    bands = np.zeros((columns + 1, kinds, 3), np.int64)
+    # The best parse up to here, of those that end with no opening.
+    closed, closed_kind = np.full(columns + 1, -np.inf), np.full(columns + 1, -1)
+    best, best_kind = np.full(columns + 1, -np.inf), np.full(columns + 1, -1)
+    closed[0], best[0] = 0.0, 0.0
+    whole = np.zeros((columns + 1, sums.shape[2]))
+    for c in range(columns + 1):
+        for row in range(rows):
+            for m in range(sums.shape[2]):
+                whole[c, m] += sums[c, row, m]
+    # No kind beats a wall by more than the cells that are likelier something else.
+    against = np.zeros(columns + 1)
+    for c in range(columns):
+        gain = 0.0
+        for row in range(rows):
+            solid, most = sums[c + 1, row, 0] - sums[c, row, 0], -np.inf
+            for m in range(sums.shape[2]):
+                most = max(most, sums[c + 1, row, m] - sums[c, row, m])
+            gain += most - solid
+        against[c + 1] = against[c] + gain
+    score, band = np.zeros(len(materials)), np.zeros((len(materials), 3), np.int64)
+    rules = materials, limits, kind_prices, no_lintel, blind, high_end
+    total = np.zeros(sums.shape[2])
+    for j in range(1, columns + 1):
+        for k in range(3):
+            own = hidden[j - 1]
+            if k == wall:
+                own = whole[j, 0] - whole[j - 1, 0] - (1e6 if driven[j - 1] else 0.0)
+            elif k == gap:
+                own = whole[j, 6] - whole[j - 1, 6]
+            stay = value[j - 1, k]
+            since = best[j - 1] if k == wall else closed[j - 1]
+            enter = since - (0.0 if j == 1 else change)
+            if stay >= enter:
+                value[j, k], begin[j, k], before[j, k] = stay + own, j - 1, k
+            else:
+                value[j, k], begin[j, k] = enter + own, j - 1
+                before[j, k] = best_kind[j - 1] if k == wall else closed_kind[j - 1]
+        limit, crossed = rows, 0
+        for i in range(j - 1, max(j - 81, -1), -1):
+            limit, crossed = min(limit, top[i]), crossed + int(driven[i])
+            if j - i < 3 or (against[j] - against[i] < change and crossed == 0):
+                continue
+            _fit(sums, i, j, limit, *rules, total, score, band)
+            for b in range(len(materials)):
+                k, own = 3 + b, score[b]
+                if own == -np.inf or (crossed > 0 and k != doorway and k != hanging):
+                    continue
+                is_opening = k < low
+                if is_opening:
+                    since, last = value[i, wall] - change, wall
+                    if i == 0:
+                        since, last = -open_end, -1
+                    if j == columns:
+                        own -= open_end
+                else:
+                    since, last = closed[i] - (change if i > 0 else 0.0), closed_kind[i]
+                if i > 0 and k >= window:
+                    next_ = value[i, k] - (chain if is_opening else 0.25 * chain)
+                    if next_ > since:
+                        since, last = next_, k
+                if since + own > value[j, k]:
+                    value[j, k], begin[j, k], before[j, k] = since + own, i, last
+                    bands[j, k] = band[b]
+        for k in range(kinds):
+            if value[j, k] > best[j]:
+                best[j], best_kind[j] = value[j, k], k
+            if (k < doorway or k >= low) and value[j, k] > closed[j]:
+                closed[j], closed_kind[j] = value[j, k], k
+    found = np.zeros((columns, 7), np.int64)
+    odds, count = np.zeros(columns), 0
+    j, k = columns, best_kind[columns]
+    while j > 0 and k >= 0:
+        i, last = begin[j, k], before[j, k]
+        while last == k and k < doorway and i > 0:  # a run, column by column
+            i, last = begin[i, k], before[i, k]
+        limit = rows
+        for c in range(i, j):
+            limit = min(limit, top[c])
+        _fit(sums, i, j, limit, *rules, total, score, band)
+        simple = np.array([total[0], total[6], hidden[i:j].sum()])
+        own = simple[k] if k < doorway else score[k - 3]
+        most, second = -np.inf, wall
+        for other in range(kinds):
+            its = simple[other] if other < doorway else score[other - 3]
+            if other != k and its > most:
+                most, second = its, other
+        found[count, :3] = i, j, k
+        found[count, 3:6], found[count, 6] = bands[j, k], second
+        odds[count] = own - most
+        count, j, k = count + 1, i, last
+    return found[:count][::-1], odds[:count][::-1]

@@ -1,0 +1,326 @@
+"""What stands of the parsed faces: walls, with their doors and windows, and what is no wall."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import reduce
+
+import numpy as np
+
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.building.evidence import BEYOND, FOOT_ROW, ON, RECESS, Evidence
+from ffmap.algorithms.building.face_columns import CEILING_MARGIN_M, TracedFaces
+from ffmap.algorithms.building.face_verdicts import FaceVerdict, JudgedFaces
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_DOORS,
+    Blinds,
+    BuildingSettings,
+    Doors,
+    Walls,
+    Windows,
+    cells_in,
+    one_door,
+)
+from ffmap.algorithms.building.parse import (
+    DOORS,
+    OF_WALLS,
+    OPENINGS,
+    Kind,
+    ParseSettings,
+    Stretch,
+    parse_face,
+)
+from ffmap.algorithms.scan.doors import DoorState
+
+_SHEET_M = 0.025
+"""Half thickness (m) of a sheet: range noise and what a scan's plane is off over a door's width."""
+_LEAF_SHARE_MIN = 0.8
+"""Least share of the rays into an opening that end on a leaf; a pane lets more pass."""
+_PATCH = 4
+"""Edge (cells) of the patches of an opening of which a pane shows in nearly each."""
+_PATCH_RAYS_MIN = 15
+"""Least rays into a patch for a pane to show: glass returns every tenth, at a slant fewer."""
+_PANE_PATCHES_MIN, _PANE_SHARE_MAX = 0.9, 0.5
+_AJAR_M = 0.1
+"""Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
+_JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
+"""Least share, and number of columns, of a face that is wall down to the floor: what is open below all along hangs."""
+
+
+@dataclass(frozen=True)
+class ParsedFaces:
+    """Faces with what rays found of them, and the stretches (W lists) that they were parsed into."""
+
+    faces: TracedFaces
+    stretches: tuple[list[Stretch], ...]
+
+    @classmethod
+    def of(
+        cls, faces: TracedFaces, path_map: FloatArray, robot_m: float, settings: ParseSettings
+    ) -> "ParsedFaces":
+        """Parse all faces. path_map: (n, 2) the robot's places, of a robot of half that width."""
+        top = np.maximum((faces.top_m - CEILING_MARGIN_M) / CELL_M, FOOT_ROW).astype(np.int64)
+        driven = faces.visited(path_map, robot_m)
+        found = []
+        for w in range(len(faces)):
+            own = faces.columns(w)
+            evidence = faces.evidence.ended[own], faces.evidence.depth_sum[own]
+            found.append(parse_face(*evidence, top[own], driven[own], settings))
+        return cls(faces, tuple(found))
+
+
+def judge(parsed: ParsedFaces, settings: BuildingSettings) -> JudgedFaces:
+    """The stretches of faces that stand, with their openings, and those that end low or hang."""
+    faces, kept, refused = parsed.faces, [], []
+    for w, stretches in enumerate(parsed.stretches):
+        ended = faces.evidence.ended[faces.columns(w)]
+        for first, after in standing(stretches, cells_in(settings.gap_m)):
+            if (after - first) * CELL_M >= settings.length_min_m:
+                if has_jambs(stretches, first, after, ended):
+                    kept.append((w, first, after))
+                else:
+                    refused.append((w, first, after, FaceVerdict.HANGS))
+        for own in stretches:
+            if own.kind == Kind.LOW:
+                refused.append((w, own.first, own.after, FaceVerdict.ENDS_LOW))
+            elif own.kind == Kind.HANGING:
+                refused.append((w, own.first, own.after, FaceVerdict.HANGS))
+    verdicts = np.array([verdict for *_, verdict in refused], np.uint8)
+    return JudgedFaces(faces.cut(kept), faces.cut([r[:3] for r in refused]), verdicts)
+
+
+def standing(stretches: list[Stretch], gap: int) -> Iterator[tuple[int, int]]:
+    """First column, and the one after the last, of what is wall with its openings.
+
+    Between two stretches of wall something short may hide what is there.
+    """
+    first = after = -1
+    for k, own in enumerate(stretches):
+        stands = own.kind in OF_WALLS
+        hidden = own.kind == Kind.HIDDEN and own.after - own.first <= gap and first >= 0
+        hidden &= k + 1 < len(stretches) and stretches[k + 1].kind in OF_WALLS
+        if stands or hidden:
+            first, after = own.first if first < 0 else first, own.after
+        elif first >= 0:
+            yield first, after
+            first = -1
+    if first >= 0:
+        yield first, after
+
+
+def has_jambs(stretches: list[Stretch], first: int, after: int, ended: FloatArray) -> bool:
+    """Whether enough of some columns of a face is wall that rays end on, down to the floor."""
+    walls = [s for s in stretches if first <= s.first < after and s.kind == Kind.WALL]
+    on = sum(int((ended[s.columns, :, ON].sum(axis=1) > 0).sum()) for s in walls)
+    return on >= max(_JAMBS_MIN * (after - first), _JAMB_COLUMNS)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What closes an opening, if anything does: the depth that most of what returns has.
+
+    behind_m: that depth (m). share: of the rays that came in, those that ended there. patches:
+    share of an opening's patches, of those that rays met, that returned any from there.
+    """
+
+    behind_m: float
+    share: float
+    patches: float
+
+
+def find_sheet(ended: FloatArray, depth_sum: FloatArray) -> Sheet | None:
+    """The sheet within an opening; None where nothing returned.
+
+    ended, depth_sum: (c, rows, …) of its cells without jambs, sill and head, see `Evidence`.
+    """
+    layers = ended[..., ON:BEYOND].astype(np.float64)
+    came = ended[..., ON : BEYOND + 1].sum(axis=-1, dtype=np.float64)
+    met = layers > 0
+    if not met.any():
+        return None
+    depth_m = np.where(met, -depth_sum[..., ON:BEYOND] / np.maximum(layers, 1.0), np.nan)
+    known, weight = depth_m[met], np.minimum(layers[met], 3.0)
+    order = np.argsort(known)
+    known, total = known[order], np.concatenate([[0.0], np.cumsum(weight[order])])
+    within = total[np.searchsorted(known, known + _SHEET_M, "right")]
+    within -= total[np.searchsorted(known, known - _SHEET_M, "left")]
+    middle_m = known[np.argmax(within)]
+    on_sheet = met & (np.abs(depth_m - middle_m) <= _SHEET_M)
+    returned = (layers * on_sheet).sum(axis=-1)
+    behind_m = -float(depth_sum[..., ON:BEYOND][on_sheet].sum() / layers[on_sheet].sum())
+    rays, shown = _by_patch(came), _by_patch(returned)
+    asked = rays >= _PATCH_RAYS_MIN
+    patches = float((shown[asked] > 0).mean()) if 2 * asked.sum() >= asked.size else 0.0
+    return Sheet(behind_m, float(returned.sum() / max(came.sum(), 1.0)), patches)
+
+
+def _by_patch(cells: FloatArray) -> FloatArray:
+    """Sums over patches of cells (c, rows); what is left over at the ends is its neighbour's."""
+    for axis in (0, 1):
+        patches = max(cells.shape[axis] // _PATCH, 1)
+        cells = np.add.reduceat(cells, _PATCH * np.arange(patches), axis=axis)
+    return cells
+
+
+@dataclass(frozen=True)
+class Openings:
+    """Stretches of faces that rays pass or that end behind the face, with what closes them.
+
+    wall: (n,) the face of each. ends: as faces of their own.
+    """
+
+    wall: tuple[int, ...]
+    stretch: tuple[Stretch, ...]
+    faces: Walls
+    evidence: Evidence
+    sheet: tuple[Sheet | None, ...]
+
+    def __len__(self) -> int:
+        return len(self.wall)
+
+
+def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]) -> Openings:
+    """All openings of all faces. trace_within: books rays where they ended, see `AllScans`."""
+    found = [
+        (w, own)
+        for w, stretches in enumerate(parsed.stretches)
+        for own in stretches
+        if own.kind in OPENINGS
+    ]
+    faces = parsed.faces.cut([(w, own.first, own.after) for w, own in found])
+    evidence = trace_within(faces)
+    sheets = []
+    for k, (_, own) in enumerate(found):
+        columns, inner = evidence.columns(k), _within(own)
+        inside = evidence.ended[columns][inner], evidence.depth_sum[columns][inner]
+        sheets.append(find_sheet(*inside))
+    walls, stretches = tuple(w for w, _ in found), tuple(own for _, own in found)
+    return Openings(walls, stretches, faces, evidence, tuple(sheets))
+
+
+def _within(own: Stretch) -> tuple[slice, slice]:
+    """The cells within an opening's sill, jambs and head, where it is as large as that."""
+    width = own.after - own.first
+    jamb = 2 if width >= 8 else 0
+    rows = slice(max(own.sill + 2, FOOT_ROW + 1), max(own.blind - 2, own.sill + 4))
+    return slice(jamb, width - jamb), rows
+
+
+def doors_of(openings: Openings, settings: BuildingSettings) -> Doors:
+    """The doors among openings, the surest first; none that a pane closes."""
+    found = [
+        (own.odds, _door(openings, k, settings))
+        for k, own in enumerate(openings.stretch)
+        if own.kind in DOORS and not _is_glass(openings.sheet[k])
+    ]
+    found.sort(key=lambda seen: -seen[0])
+    return reduce(Doors.append, (door for _, door in found), NO_DOORS)
+
+
+def glazed_doors_of(openings: Openings, settings: BuildingSettings) -> Doors:
+    """The closed doors whose leaf is a pane: as wide and as high as doors are, down to the floor."""
+    found = [
+        replace(
+            _door(openings, k, settings),
+            depth_m=np.array([_pane_m(openings.sheet[k])]),
+            state=np.array([DoorState.CLOSED], np.uint8),
+            agreement=np.ones(1),
+            glazed=np.array([True]),
+        )
+        for k, own in enumerate(openings.stretch)
+        if own.kind in DOORS and _is_glass(openings.sheet[k])
+    ]
+    return reduce(Doors.append, found, NO_DOORS)
+
+
+def _door(openings: Openings, k: int, settings: BuildingSettings) -> Doors:
+    own, sheet, inner = openings.stretch[k], openings.sheet[k], _within(openings.stretch[k])
+    columns = openings.evidence.columns(k)
+    ended = openings.evidence.ended[columns]
+    depth_sum = openings.evidence.depth_sum[columns]
+    rays = ended[inner][..., ON:].sum(axis=(1, 2))
+    lintel = ended[:, own.head :, ON].sum(axis=1) > 0
+    is_leaf = sheet is not None and sheet.share >= _LEAF_SHARE_MIN
+    ajar = own.kind != Kind.LEAF_BEFORE and _is_ajar(ended[inner], depth_sum[inner])
+    behind_m, share = float("nan"), 1.0 - (sheet.share if sheet is not None else 0.0)
+    if own.kind == Kind.LEAF_BEFORE:
+        behind_m, share = -0.05, 1.0
+    elif sheet is not None and is_leaf and not ajar:
+        behind_m, share = sheet.behind_m, sheet.share
+    return one_door(
+        ends=openings.faces.ends[k],
+        normal=openings.faces.normal[k],
+        head_m=(own.head - 0.5) * CELL_M,
+        depth_m=behind_m,
+        state=DoorState.CLOSED if np.isfinite(behind_m) else DoorState.OPEN,
+        agreement=share,
+        coverage=(rays >= settings.rays_min).mean(),
+        lintel=lintel.mean(),
+        ajar=ajar,
+        ray_count=int(rays.sum()),
+        wall=openings.wall[k],
+    )
+
+
+def _is_glass(sheet: Sheet | None) -> bool:
+    return sheet is not None and sheet.patches >= _PANE_PATCHES_MIN and sheet.share < _PANE_SHARE_MAX
+
+
+def _is_ajar(ended: FloatArray, depth_sum: FloatArray) -> bool:
+    """Whether a leaf stands aslant: the median slope of its columns (Theil and Sen)."""
+    near = slice(RECESS, BEYOND)
+    rays = ended[..., near].sum(axis=(1, 2), dtype=np.float64)
+    known = np.flatnonzero(rays > 3)
+    if len(known) < 3 or rays.sum() < 0.5 * ended[..., ON:].sum():
+        return False
+    depth_m = -depth_sum[..., near].sum(axis=(1, 2), dtype=np.float64)[known] / rays[known]
+    first, second = np.triu_indices(len(known), 1)
+    slope = np.median((depth_m[second] - depth_m[first]) / (known[second] - known[first]))
+    return bool(abs(slope) * len(ended) > _AJAR_M)
+
+
+def windows_of(openings: Openings) -> Windows:
+    """The windows among openings, and doorways that panes close."""
+    glass = [
+        (own.kind == Kind.WINDOW or _is_glass(sheet)) and own.blind - own.sill > 1
+        for own, sheet in zip(openings.stretch, openings.sheet, strict=True)
+    ]
+    chosen = np.flatnonzero(glass)
+    stretch = [openings.stretch[k] for k in chosen]
+    pane_m = [_pane_m(openings.sheet[k]) for k in chosen]
+    return Windows(
+        ends=openings.faces.ends[chosen],
+        normal=openings.faces.normal[chosen],
+        bottom_m=np.array([own.sill * CELL_M for own in stretch]),
+        top_m=np.array([own.blind * CELL_M for own in stretch]),
+        pane_m=np.array(pane_m),
+    )
+
+
+def blinds_of(openings: Openings) -> Blinds:
+    """What hangs in windows and closes them, or their upper part."""
+    chosen = [
+        k
+        for k, own in enumerate(openings.stretch)
+        if own.kind in (Kind.WINDOW, Kind.PANE) and own.blind < own.head
+    ]
+    behind_m = []
+    for k in chosen:
+        own, columns = openings.stretch[k], openings.evidence.columns(k)
+        near = slice(RECESS, BEYOND - 1)
+        rays = openings.evidence.ended[columns, own.blind : own.head, near].sum()
+        depth_m = openings.evidence.depth_sum[columns, own.blind : own.head, near].sum()
+        behind_m.append(-float(depth_m) / max(float(rays), 1.0))
+    stretch = [openings.stretch[k] for k in chosen]
+    return Blinds(
+        ends=openings.faces.ends[chosen],
+        normal=openings.faces.normal[chosen],
+        bottom_m=np.array([own.blind * CELL_M for own in stretch]),
+        top_m=np.array([own.head * CELL_M for own in stretch]),
+        behind_m=np.array(behind_m),
+        contrast=np.full(len(chosen), np.nan),
+    )
+
+
+def _pane_m(sheet: Sheet | None) -> float:
+    return sheet.behind_m if sheet is not None and _is_glass(sheet) else float("nan")

@@ -1,0 +1,276 @@
+"""Walls that no single scan shows as a plane: lines along which the returns of all scans stand.
+
+Columns of returns that belong to no face are searched for lines in the walls' directions, and what
+is left for chords of round walls. Each line is parsed like a face, from both its sides; it has to
+show itself as a wall where a face that scans saw as a plane may stay hidden.
+"""
+
+from collections.abc import Callable
+from functools import reduce
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.plan_index import pairs_near
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.segments import segment, segments
+from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.building.evidence import ON
+from ffmap.algorithms.building.face_columns import Storey
+from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, wall_directions
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, cells_in
+from ffmap.algorithms.building.parse import OF_WALLS, Kind
+from ffmap.algorithms.building.settle import ParsedFaces, has_jambs, standing
+from ffmap.algorithms.building.votes import VoxelVotes
+
+Line = tuple[FloatArray, FloatArray]
+"""Ends (2, 2) and normal (2,)."""
+_TRACED_TO_M = 4.0
+"""Height up to which rays are counted against lines, of whose tops nothing is known yet."""
+
+
+class UnseenWallsSettings(StepSettings):
+    """Walls that only all scans together show."""
+
+    explained_m: float = Field(
+        0.08, gt=0, description="Maximum distance (m) from a known face of its own returns."
+    )
+    half_thickness_m: float = Field(
+        0.04, gt=0, description="Half thickness (m) of a wall's returns: range noise and drift."
+    )
+    beside_m: float = Field(
+        0.1, gt=0, description="A line this near (m) to a face that looks the same way is its own."
+    )
+    faced_m: float = Field(
+        0.5, gt=0, description="Between two faces that look at each other nobody stands: no nearer."
+    )
+    chord_m: float = Field(
+        0.35, gt=0, description="Minimum length (m) of a chord of a round wall."
+    )
+    odds_min: float = Field(
+        10.0, ge=0, description="Least odds (nats) of a wall against the next kind: it must show."
+    )
+    returns_min: int = Field(20, ge=1, description="Least returns that prove it.")
+
+
+def find_unseen_walls(
+    walls: Walls,
+    refused: Walls,
+    votes: VoxelVotes,
+    storey: Storey,
+    align: Callable[[Walls], Walls],
+    parse: Callable[[Walls], ParsedFaces],
+    gap_m: float,
+    direction_share_min: float,
+    settings: UnseenWallsSettings,
+) -> Walls:
+    """Walls among the lines that no face explains, neither walls nor refused ones.
+
+    align: lays faces along the returns. parse: traces and parses faces.
+    """
+    found = NO_WALLS
+    directions = wall_directions(walls, direction_share_min)
+    for round_ in range(2):
+        known = walls.append(found)
+        place, weight, top_m = unexplained_columns(votes, known, refused, settings.explained_m)
+        if round_ == 0:
+            lines = straight_lines(place, weight, directions, settings.half_thickness_m, gap_m)
+        else:
+            clear_m = storey.clear_m(place, 2.0)
+            is_high = top_m - storey.ground_m(place) > np.fmin(clear_m - 0.35, 2.25)
+            lines = lines_of_any_direction(place[is_high], settings)
+        candidates = _new(lines, known, settings)
+        if len(candidates):
+            parsed = parse(align(candidates))
+            count = len(parsed.stretches)
+            more = [_walls_of(parsed, w, known, gap_m, settings) for w in range(count)]
+            found = reduce(Walls.append, more, found)
+    return found
+
+
+def _new(lines: list[Line], known: Walls, settings: UnseenWallsSettings) -> Walls:
+    """The lines as faces, from both sides, but for what is known and what nobody can stand at."""
+    if not lines:
+        return NO_WALLS
+    both = both_sides(lines)
+    middles = both.ends.mean(axis=1)
+    faced = _near_a_face(middles, -both.normal, known, 0.0, settings.faced_m)
+    beside = _near_a_face(middles, both.normal, known, -settings.beside_m, settings.beside_m)
+    return both.select(~faced & ~beside)
+
+
+def _walls_of(
+    parsed: ParsedFaces, w: int, known: Walls, gap_m: float, settings: UnseenWallsSettings
+) -> Walls:
+    """The stretches of a parsed line that show themselves as walls."""
+    faces, stretches = parsed.faces, parsed.stretches[w]
+    ended = faces.evidence.ended[faces.columns(w)]
+    crossed = _crossed_by(known, faces.walls, w, len(ended))
+    seen = np.isfinite(faces.clear_m[faces.columns(w)]) & ~crossed
+    found = []
+    for first, after in standing(stretches, cells_in(gap_m)):
+        own = [s for s in stretches if first <= s.first < after and s.kind in OF_WALLS]
+        on = sum(float(ended[s.columns, :, ON].sum()) for s in own if s.kind == Kind.WALL)
+        shows = sum(s.odds for s in own) >= settings.odds_min and on >= settings.returns_min
+        is_free = seen[first:after].mean() > 0.5
+        if shows and is_free and has_jambs(stretches, first, after, ended):
+            found.append((w, first, after))
+    cut = faces.cut(found)
+    return cut.select((cut.ends[:, 0] != cut.ends[:, 1]).any(axis=1))
+
+
+def both_sides(lines: list[Line]) -> Walls:
+    """The lines as faces: which side each is seen from is not known yet, so both are tried."""
+    ends = np.array([e for e, _ in lines]).reshape(-1, 2, 2)
+    normal = np.array([n for _, n in lines]).reshape(-1, 2)
+    faces = unseen_faces(ends, normal, np.full(len(ends), _TRACED_TO_M))
+    return faces.append(unseen_faces(ends[:, ::-1], -normal, np.full(len(ends), _TRACED_TO_M)))
+
+
+def unseen_faces(ends: FloatArray, normal: FloatArray, top_m: FloatArray) -> Walls:
+    """Faces (k, 2, 2) that stand on the floor, of which no scan saw a plane."""
+    count = len(ends)
+    return Walls(
+        ends=ends,
+        normal=normal,
+        bottom_m=np.zeros(count),
+        top_m=top_m,
+        scan_count=np.zeros(count, np.int32),
+        rms_m=np.full(count, np.nan),
+        sample_count=np.zeros(count, np.int64),
+    )
+
+
+def unexplained_columns(
+    votes: VoxelVotes, walls: Walls, refused: Walls, explained_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Upright columns of voxels that no face explains.
+
+    Returns x and y (m, 2), the number of voxels (m,) in each, and z of the highest (m,).
+    """
+    label = votes.label
+    unexplained = (label == Label.CLUTTER) | (label == Label.WALL)
+    unexplained &= votes.counts.max(axis=1, initial=0) > 0
+    position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
+    free = np.ones(len(position), bool)
+    free[pairs_near(walls.append(refused), position, explained_m)[0]] = False
+    position, count = position[free], count[free]
+    cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
+    _, column = np.unique(cell, axis=0, return_inverse=True)
+    column = column.ravel()
+    columns = int(column.max(initial=-1)) + 1
+    weight = np.bincount(column, count, columns)
+    sums = [np.bincount(column, count * position[:, axis], columns) for axis in (0, 1)]
+    place = np.stack([total / weight for total in sums], axis=1)
+    cubes = np.bincount(column, minlength=columns)
+    top_m = np.full(columns, -np.inf)
+    np.maximum.at(top_m, column, position[:, 2])
+    stands = cubes >= 3
+    return place[stands], np.minimum(cubes[stands], 20).astype(np.float64), top_m[stands]
+
+
+def straight_lines(
+    place: FloatArray,
+    weight: FloatArray,
+    normals: FloatArray,
+    half_thickness_m: float,
+    gap_m: float,
+) -> list[Line]:
+    """Stretches of columns in line, the strongest first, each column in one.
+
+    half_thickness_m: of their returns. gap_m: no gap within one is longer.
+    """
+    bin_m = 0.5 * half_thickness_m
+    left = np.ones(len(place), bool)
+    across = [place @ normal for normal in normals]
+    along = [place @ np.array([-normal[1], normal[0]]) for normal in normals]
+    bins = [np.floor((a - a.min(initial=0.0)) / bin_m).astype(np.int64) for a in across]
+    dead = [np.zeros(int(b.max(initial=0)) + 3, bool) for b in bins]
+    found: list[Line] = []
+    while len(normals) and left.any():
+        best, direction, at = 0.0, 0, 0
+        for d in range(len(normals)):
+            strength = np.bincount(bins[d][left], weight[left], len(dead[d]))
+            strength = np.where(dead[d], 0.0, np.convolve(strength, np.ones(3), "same"))
+            if strength.max() > best:
+                best, direction, at = float(strength.max()), d, int(np.argmax(strength))
+        if best < 9.0:
+            break
+        centre = float(across[direction].min(initial=0.0)) + (at + 0.5) * bin_m
+        near = np.flatnonzero(left & (np.abs(across[direction] - centre) < half_thickness_m))
+        near = near[np.argsort(along[direction][near])]
+        breaks = np.flatnonzero(np.diff(along[direction][near]) > gap_m) + 1
+        parts = [
+            part
+            for part in np.split(near, breaks)
+            if len(part) >= 3 and np.ptp(along[direction][part]) > 3 * CELL_M
+        ]
+        if not parts:
+            dead[direction][at] = True
+            continue
+        part = max(parts, key=lambda p: float(weight[p].sum()))
+        left[part] = False
+        normal = normals[direction]
+        offset = float(np.average(across[direction][part], weights=weight[part]))
+        reach = along[direction][part][[0, -1]] + np.array([-0.5, 0.5]) * CELL_M
+        ends = normal * offset + reach[:, None] * np.array([-normal[1], normal[0]])
+        found.append((ends, normal))
+    return found
+
+
+def lines_of_any_direction(place: FloatArray, settings: UnseenWallsSettings) -> list[Line]:
+    """Stretches of columns (n, 2) in line, whatever their direction, each column in one."""
+    if not len(place):
+        return []
+    tree, left = cKDTree(place), np.ones(len(place), bool)
+    found: list[Line] = []
+    for seed in range(len(place)):
+        if not left[seed]:
+            continue
+        near = np.array(tree.query_ball_point(place[seed], settings.chord_m))
+        near = near[left[near]]
+        for _ in range(2):
+            # The line of least squares, without what is off it.
+            if len(near) < 3:
+                break
+            middle = place[near].mean(axis=0)
+            along = np.linalg.eigh(np.cov((place[near] - middle).T))[1][:, 1]
+            normal = np.array([along[1], -along[0]])
+            off_m = np.abs((place[near] - middle) @ normal)
+            near = near[off_m < 0.5 * settings.half_thickness_m]
+        reach = np.sort((place[near] - middle) @ along) if len(near) >= 3 else np.zeros(1)
+        if reach[-1] - reach[0] < settings.chord_m or np.diff(reach).max() > 3 * CELL_M:
+            continue
+        left[near] = False
+        ends_m = reach[[0, -1]] + np.array([-0.5, 0.5]) * CELL_M
+        found.append((middle + ends_m[:, None] * along, normal))
+    return found
+
+
+def _near_a_face(
+    places: FloatArray, normals: FloatArray, walls: Walls, above_m: float, below_m: float
+) -> BoolArray:
+    """(k,) whether each place (k, 2) is so far before a face that looks as its normal (k, 2)."""
+    near = np.zeros(len(places), bool)
+    for face in segments(walls):
+        before_m = face.before_m(places)
+        looks = normals @ face.normal > SAME_WAY
+        near |= looks & face.beside(places) & (before_m > above_m) & (before_m < below_m)
+    return near
+
+
+def _crossed_by(walls: Walls, candidates: Walls, w: int, count: int) -> BoolArray:
+    """(count,) the columns of one candidate at which it crosses a known face."""
+    crossed = np.zeros(count, bool)
+    candidate = segment(candidates, w)
+    for face in segments(walls):
+        if abs(face.normal @ candidate.normal) > ACROSS:
+            continue
+        towards = float(candidate.along @ face.normal)
+        column = int(-face.before_m(candidate.start) / towards // CELL_M)
+        place = candidate.at(np.array([(column + 0.5) * CELL_M]))
+        if 0 <= column < count and face.beside(place)[0]:
+            crossed[column] = True
+    return crossed
