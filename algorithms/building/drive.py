@@ -8,11 +8,11 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.building.evidence import Evidence, joined, rows_of
-from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.levels import map_levels
 from ffmap.algorithms.building.model import Walls, Windows
+from ffmap.algorithms.building.storey import Storey
 from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
 

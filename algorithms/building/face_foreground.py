@@ -14,10 +14,9 @@ from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.cells import THROUGH, mean_before_m
-from ffmap.algorithms.building.evidence import FOOT_ROW, first_columns
-from ffmap.algorithms.building.face_columns import Storey, TracedFaces, above_doors_m, column_places
+from ffmap.algorithms.building.evidence import FAR, FOOT_ROW, Evidence, first_columns
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
+from ffmap.algorithms.building.storey import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -95,22 +94,27 @@ def bare_foreground(low: Walls, storey: Storey) -> Foreground:
     return Foreground(first, np.repeat(low.top_m, np.diff(first)), ground_m, np.zeros((len(ground_m), 1), bool))
 
 
-def find_foreground(faces: TracedFaces, doors: Doors, above_door_m: float, settings: ForegroundSettings) -> Foreground:
-    """What stands flat against the faces, but for the leaves of closed doors.
-
-    above_door_m: height above which, up to the ceiling, the wall itself is seen.
-    """
-    above_m = above_doors_m(faces.clear_m, above_door_m)
-    covered = np.zeros(faces.cells.counts.shape[:2], bool)
-    for own in map(faces.columns, range(len(faces))):
-        relief_m = _relief_m(faces.cells.counts[own], faces.clear_m[own], above_m[own], settings)
+def find_foreground(faces: TracedFaces, doors: Doors, settings: ForegroundSettings) -> Foreground:
+    """What stands flat against the faces, but for the leaves of closed doors."""
+    above_m = above_doors_m(faces.clear_m)
+    covered = np.zeros(faces.evidence.ended.shape[:2], bool)
+    for w in range(len(faces)):
+        own, returns = faces.columns(w), _returns(faces.evidence, w)
+        relief_m = _relief_m(returns, faces.clear_m[own], above_m[own], settings)
         covered[own] = _standing_patches(relief_m, faces.clear_m[own], settings)
-    places = column_places(faces.walls, faces.cells.first, 0.0)
+    places = column_places(faces.walls, faces.evidence.first, 0.0)
     for d in np.flatnonzero(doors.state == DoorState.CLOSED):
         own = faces.columns(int(doors.wall[d]))
         leaf = segment(doors, d).beside(places[own], CELL_M)
         covered[own, : cells_in(doors.head_m[d]) + 1][leaf] = False
-    return Foreground(faces.cells.first, faces.clear_m, faces.ground_m, covered)
+    return Foreground(faces.evidence.first, faces.clear_m, faces.ground_m, covered)
+
+
+def _returns(evidence: Evidence, w: int) -> FloatArray:
+    """(c, rows, 3) returns near one face: their number, and sums of distances and of squares."""
+    own, near = evidence.columns(w), slice(0, FAR)
+    parts = evidence.ended, evidence.depth_sum, evidence.depth_squares
+    return np.stack([part[own][..., near].sum(axis=-1, dtype=np.float64) for part in parts], axis=-1)
 
 
 def _heights_m(rows: int) -> FloatArray:
@@ -121,18 +125,18 @@ def _heights_m(rows: int) -> FloatArray:
 def _relief_m(counts: FloatArray, clear_m: FloatArray, above_m: FloatArray, settings: ForegroundSettings) -> FloatArray:
     """(c, rows) mean distance of each cell's returns before the wall; NaN where too few returned.
 
-    counts: (c, rows, 4), see `WallCells`. above_m: (c,) height above which nothing stands before the wall.
+    counts: (c, rows, 3), see `_returns`. above_m: (c,) height above which nothing stands before the wall.
     """
     height_m = _heights_m(counts.shape[1])
     below_ceiling = height_m < np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None] - 2 * CELL_M
     # A face that is fitted over many metres may be off its wall by more than the relief: the wall above tells.
     above = (height_m > above_m[:, None]) & below_ceiling
-    wall = (counts[..., :THROUGH] * _no_deeper(counts, above, settings)[..., None]).sum(axis=1, keepdims=True)
+    wall = (counts * _no_deeper(counts, above, settings)[..., None]).sum(axis=1, keepdims=True)
     wall_m, _ = _mean_and_scatter_m(wall, (settings.wall_columns, 1), settings.returns_min)
     usual_m = _scatter_m(wall)
     relief_m = np.full(counts.shape[:2], np.nan)
     for size in range(1, settings.together_max + 1, 2):
-        mean_m, scatter_m = _mean_and_scatter_m(counts[..., :THROUGH], (size, size), settings.returns_min)
+        mean_m, scatter_m = _mean_and_scatter_m(counts, (size, size), settings.returns_min)
         if size > 1:
             # Several cells may hold furniture that stands away and the wall beside it: their mean is neither's.
             mean_m = np.where(scatter_m < settings.scatter_max * usual_m, mean_m, np.nan)
@@ -198,7 +202,7 @@ def _lean_m(relief_m: FloatArray, height_m: FloatArray, settings: ForegroundSett
 
 def _no_deeper(counts: FloatArray, above: BoolArray, settings: ForegroundSettings) -> BoolArray:
     """(c, rows) which cells above a door's height lie no deeper than most around them: none of a window's head, or beyond it."""
-    mean_m = np.where(above, mean_before_m(counts), np.nan)
+    mean_m = np.where(above & (counts[..., 0] > 0), counts[..., 1] / np.maximum(counts[..., 0], 1.0), np.nan)
     usual_m = row_medians(_columns_around(mean_m, settings.wall_columns).reshape(len(mean_m), -1))
     return np.asarray(mean_m > usual_m[:, None] - ON_FACE_M)
 

@@ -22,23 +22,21 @@ from ffmap.algorithms.base.segments import (
     lines_of,
 )
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import CEILING_MARGIN_M
 from ffmap.algorithms.building.face_foreground import Foreground
-from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.halo import Halo
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import (
     CELL_M,
-    NO_MULLIONS,
     NO_WALLS,
     NO_WINDOWS,
     Blinds,
     Doors,
-    Mullions,
     Walls,
     Windows,
 )
+from ffmap.algorithms.building.storey import CEILING_MARGIN_M
+from ffmap.algorithms.building.verdicts import JudgedFaces
 from ffmap.algorithms.scan.doors import DoorState
 
 
@@ -138,7 +136,6 @@ class BuildingModel:
     blinds: Blinds
     levels: tuple[HeightMap, ...]
     leaf_panes: Windows = NO_WINDOWS
-    mullions: Mullions = NO_MULLIONS
     low_walls: Walls = NO_WALLS
 
 
@@ -186,7 +183,7 @@ class Relabelled:
 class Relabelling:
     """A building as the returns of scans are asked about it: tables for compiled code, and what is near each place.
 
-    faces, refused, doorways, panes, blinds, mullions: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of
+    faces, refused, doorways, panes, blinds: a row for each, see `TOP`, `HEAD`, `BEYOND` and `LOW`; with an index of
         `index_near` each, the faces with one of those that rays meet along an edge, and with one of those that a return may be at;
         that of panes is of the walls' windows alone.
     foreground: what is before the faces, by their columns.
@@ -198,7 +195,6 @@ class Relabelling:
     doorways: tuple[FloatArray, IntArray]
     panes: tuple[FloatArray, IntArray]
     blinds: tuple[FloatArray, IntArray]
-    mullions: tuple[FloatArray, IntArray]
     foreground: Foreground
     rules: "_Rules"
     levels: tuple[HeightMap, ...]
@@ -208,11 +204,7 @@ class Relabelling:
     def of(cls, building: BuildingModel, halo: Halo, settings: RelabellingSettings) -> "Relabelling":
         """By the settings, which say how far each part of the building reaches."""
         walls, refused, doors, windows = building.walls, building.judged.refused, building.doors, building.windows
-        blinds, panes, mullions = building.blinds, windows.append(building.leaf_panes), building.mullions
-        # Panes end at the mullions between them, which rays pass aslant.
-        between = Windows(mullions.ends, mullions.normal, mullions.bottom_m, mullions.top_m, np.zeros(len(mullions)))
-        panes = panes.append(between)
-        mullions = replace(mullions, ends=lengthened(mullions.front, settings.margin_m))
+        blinds, panes = building.blinds, windows.append(building.leaf_panes)
         leaf_m = np.where(doors.state == DoorState.CLOSED, doors.depth_m, -np.inf)
         beyond_m = np.where(np.isfinite(panes.pane_m), panes.pane_m, settings.behind_glass_m)
         # A ray that ends this close to a face or a leaf may cross it so far away, if it comes in as level as is asked about.
@@ -237,10 +229,6 @@ class Relabelling:
             (
                 _table(blinds, blinds.behind_m, blinds.bottom_m, blinds.top_m),
                 index_near(blinds, float(blinds.behind_m.max(initial=0.0)) + settings.wall_distance_m),
-            ),
-            (
-                _table(mullions, mullions.out_m, mullions.bottom_m, mullions.top_m),
-                index_near(mullions, float(mullions.out_m.max(initial=0.0)) + settings.wall_distance_m),
             ),
             building.foreground,
             _Rules(**settings.model_dump()),
@@ -268,7 +256,6 @@ class Relabelling:
         # Every question is asked of all returns at once: asked one by one, what takes most is to hand over the arrays.
         own_m = _own_places(points_map, height_m, below_ceiling_m, label_scan, lines, along_edges, self.rules)
         on_blind = _are_within(points_map, height_m, *self.blinds, self.rules)
-        on_mullion = _are_within(points_map, height_m, *self.mullions, self.rules)
         outside = _outside(points_map, origin, self.panes[0], self.rules) & ~on_blind
         label, asked = _at_edges(
             points_map,
@@ -290,7 +277,6 @@ class Relabelling:
         at_door = _at_doors(points_map, height_m, asked, origin, *self.doorways, self.rules)
         _mark_window_reveals(points_map, asked, at_door, *self.panes, self.rules)
         at_door[on_blind] |= ON_BLIND
-        at_door[on_mullion] |= ON_REVEAL
         foreground = self.foreground.first, self.foreground.clear_m, self.foreground.covered
         nearest = _nearest_faces(points_map, height_m, asked, origin, lines, at_faces, *foreground, self.rules)
         refused = _labels_of_refused(points_map, height_m, asked, *self.refused, self.rules)

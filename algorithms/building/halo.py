@@ -10,9 +10,9 @@ from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import along_lines_m, lines_of, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.model import CELL_M, Doors, Walls
+from ffmap.algorithms.building.storey import Storey
 from ffmap.algorithms.building.votes import AXIS_BITS, VoxelVotes, cubes_of, unpack_cubes
 
 

@@ -8,7 +8,6 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.segments import moved
 from ffmap.algorithms.base.segments import stretches as stretches
 from ffmap.algorithms.base.settings import StepSettings
 
@@ -32,14 +31,8 @@ class BuildingSettings(StepSettings):
     gap_m: float = Field(
         0.6, ge=0, description="A wall has no gap longer than this many metres between its planes, or its returns."
     )
-    in_line_m: float = Field(
-        0.05, gt=0, description="Faces in which one wall goes on beyond their ends lie at most this many metres apart."
-    )
     scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
-    near_m: float = Field(
-        0.35, gt=0, description="A return at most this far (m) behind a wall's face is a leaf; deeper, it went through."
-    )
     range_m: float = Field(25.0, gt=0, description="Rays from farther (m) tell nothing of walls, seen through doors.")
     recess_min_m: float = Field(
         0.016,
@@ -58,20 +51,10 @@ class BuildingSettings(StepSettings):
     reveal_m: float = Field(
         0.3, ge=0, description="Depth (m) of a door's reveals where neither a lintel nor a wall of the building tells."
     )
-    pane_share_min: float = Field(
-        0.005, gt=0, le=1, description="An opening that returns this share of its rays from one sheet holds a pane."
-    )
-    pane_spread_m: float = Field(0.03, gt=0, description="Largest spread in metres of what a pane returns.")
-    agreement_min: float = Field(
-        0.6, ge=0, le=1, description="Share of a column's rays that must agree on its being a door's."
-    )
     opaque_min: float = Field(
         0.9, ge=0, le=1, description="Share of a closed leaf's rays that end on it; a pane lets more of them through."
     )
     confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
-    known_min: float = Field(
-        0.6, gt=0, le=1, description="Share of a leaf, of its casing and of the wall beside it that has to be seen."
-    )
     rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
 
 
@@ -159,7 +142,6 @@ class Blinds(Rows):
     ends: (B, 2, 2) x and y, on the wall's face. normal: (B, 2) towards the room.
     bottom_m, top_m: (B,) heights above the floor between which it hangs.
     behind_m: (B,) how far behind the wall beside its window; 0 where it is flush with that, or stands out.
-    contrast: (B,) by which share of that wall's intensity its own differs; NaN where unknown.
     """
 
     ends: FloatArray
@@ -167,34 +149,9 @@ class Blinds(Rows):
     bottom_m: FloatArray
     top_m: FloatArray
     behind_m: FloatArray
-    contrast: FloatArray
 
 
-NO_BLINDS = Blinds(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
-
-
-@dataclass(frozen=True)
-class Mullions(Rows):
-    """What parts the panes of glazed fronts and stands out of them into the room.
-
-    ends: (M, 2, 2) x and y of its stretch of the pane. normal: (M, 2) towards the room.
-    bottom_m, top_m: (M,) heights above the floor between which it was seen.
-    out_m: (M,) how far it stands out of the pane.
-    """
-
-    ends: FloatArray
-    normal: FloatArray
-    bottom_m: FloatArray
-    top_m: FloatArray
-    out_m: FloatArray
-
-    @property
-    def front(self) -> FloatArray:
-        """(M, 2, 2) x and y of what looks into the room."""
-        return moved(self.ends, self.normal, self.out_m)
-
-
-NO_MULLIONS = Mullions(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
+NO_BLINDS = Blinds(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -215,9 +172,6 @@ class Doors(Rows):
     crossed: (D,) whether the robot drove through.
     wall: (D,) the wall face in which it was seen best.
     reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face; NaN where unknown.
-    casing_m: (D,) how far the casing stands out of the wall by which it was told; NaN where it was told otherwise.
-    contrast: (D,) by which share of the wall's intensity the leaf's differs, if it was told by that; NaN where told otherwise.
-    outline: (D,) by which share the intensity of the frame's outline differs from the leaf and the wall, likewise.
     glazed: (D,) whether its leaf is a pane.
     """
 
@@ -237,9 +191,6 @@ class Doors(Rows):
     crossed: BoolArray
     wall: IntArray
     reveal_m: FloatArray
-    casing_m: FloatArray
-    contrast: FloatArray
-    outline: FloatArray
     glazed: BoolArray
 
     @property
@@ -265,9 +216,6 @@ NO_DOORS = Doors(
     crossed=np.zeros(0, bool),
     wall=np.zeros(0, np.int32),
     reveal_m=np.zeros(0),
-    casing_m=np.zeros(0),
-    contrast=np.zeros(0),
-    outline=np.zeros(0),
     glazed=np.zeros(0, bool),
 )
 
@@ -280,9 +228,6 @@ _NOT_TOLD = {
     "last_scan": -1,
     "crossed": False,
     "reveal_m": np.nan,
-    "casing_m": np.nan,
-    "contrast": np.nan,
-    "outline": np.nan,
     "glazed": False,
 }
 

@@ -126,7 +126,7 @@ class ParseSettings(StepSettings):
         (0.6, 2.6), description="Width (m) of doors, single and double."
     )
     door_head_m: tuple[float, float] = Field(
-        (1.8, 2.65), description="Height (m) of doors' heads above the floor."
+        (1.9, 2.65), description="Height (m) of doors' heads above the floor."
     )
     window_sill_m: tuple[float, float] = Field(
         (0.35, 1.7), description="Height (m) of windows' sills above the floor."

@@ -6,10 +6,9 @@ from functools import reduce
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.segments import moved
 from ffmap.algorithms.building.evidence import BEYOND, FOOT_ROW, ON, RECESS, Evidence
-from ffmap.algorithms.building.face_columns import CEILING_MARGIN_M, TracedFaces
-from ffmap.algorithms.building.face_verdicts import FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -30,6 +29,8 @@ from ffmap.algorithms.building.parse import (
     Stretch,
     parse_face,
 )
+from ffmap.algorithms.building.storey import CEILING_MARGIN_M, TracedFaces
+from ffmap.algorithms.building.verdicts import FaceVerdict, JudgedFaces
 from ffmap.algorithms.scan.doors import DoorState
 
 _SHEET_M = 0.025
@@ -41,6 +42,8 @@ _PATCH = 4
 _PATCH_RAYS_MIN = 15
 """Least rays into a patch for a pane to show: glass returns every tenth, at a slant fewer."""
 _PANE_PATCHES_MIN, _PANE_SHARE_MAX = 0.9, 0.5
+_FRONT_MIN_M = 0.5
+"""Least width (m) of a pane in no wall."""
 _AJAR_M = 0.1
 """Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
 _JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
@@ -69,17 +72,26 @@ class ParsedFaces:
         return cls(faces, tuple(found))
 
 
-def judge(parsed: ParsedFaces, settings: BuildingSettings) -> JudgedFaces:
-    """The stretches of faces that stand, with their openings, and those that end low or hang."""
+def judge(
+    parsed: ParsedFaces, doubtful: BoolArray, odds_min: float, settings: BuildingSettings
+) -> JudgedFaces:
+    """The stretches of faces that stand, with their openings, and those that end low or hang.
+
+    doubtful: (W,) which faces have to show themselves as walls, by odds of `odds_min`.
+    """
     faces, kept, refused = parsed.faces, [], []
     for w, stretches in enumerate(parsed.stretches):
         ended = faces.evidence.ended[faces.columns(w)]
         for first, after in standing(stretches, cells_in(settings.gap_m)):
-            if (after - first) * CELL_M >= settings.length_min_m:
-                if has_jambs(stretches, first, after, ended):
-                    kept.append((w, first, after))
-                else:
-                    refused.append((w, first, after, FaceVerdict.HANGS))
+            if (after - first) * CELL_M < settings.length_min_m:
+                continue
+            own_odds = sum(s.odds for s in stretches if first <= s.first < after)
+            if doubtful[w] and own_odds < odds_min:
+                refused.append((w, first, after, FaceVerdict.ALONE))
+            elif has_jambs(stretches, first, after, ended):
+                kept.append((w, first, after))
+            else:
+                refused.append((w, first, after, FaceVerdict.HANGS))
         for own in stretches:
             if own.kind == Kind.LOW:
                 refused.append((w, own.first, own.after, FaceVerdict.ENDS_LOW))
@@ -297,6 +309,22 @@ def windows_of(openings: Openings) -> Windows:
     )
 
 
+def fronts_of(openings: Openings) -> Windows:
+    """The panes among openings of lines that no wall explains, each in its own line."""
+    wide = [own.width_m >= _FRONT_MIN_M for own in openings.stretch]
+    glass = [_is_glass(sheet) for sheet in openings.sheet]
+    chosen = np.flatnonzero(np.array(wide, bool) & np.array(glass, bool))
+    pane_m = np.array([_pane_m(openings.sheet[k]) for k in chosen])
+    ends, normal = openings.faces.ends[chosen], openings.faces.normal[chosen]
+    return Windows(
+        ends=moved(ends, normal, -pane_m),
+        normal=normal,
+        bottom_m=np.array([openings.stretch[k].sill * CELL_M for k in chosen]),
+        top_m=np.array([openings.stretch[k].head * CELL_M for k in chosen]),
+        pane_m=np.zeros(len(chosen)),
+    )
+
+
 def blinds_of(openings: Openings) -> Blinds:
     """What hangs in windows and closes them, or their upper part."""
     chosen = [
@@ -318,7 +346,6 @@ def blinds_of(openings: Openings) -> Blinds:
         bottom_m=np.array([own.blind * CELL_M for own in stretch]),
         top_m=np.array([own.head * CELL_M for own in stretch]),
         behind_m=np.array(behind_m),
-        contrast=np.full(len(chosen), np.nan),
     )
 
 

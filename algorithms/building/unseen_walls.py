@@ -18,11 +18,11 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.evidence import ON
-from ffmap.algorithms.building.face_columns import Storey
-from ffmap.algorithms.building.face_verdicts import ACROSS, SAME_WAY, wall_directions
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, cells_in
 from ffmap.algorithms.building.parse import OF_WALLS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, has_jambs, standing
+from ffmap.algorithms.building.storey import CEILING_NEAR_M, Storey
+from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY, wall_directions
 from ffmap.algorithms.building.votes import VoxelVotes
 
 Line = tuple[FloatArray, FloatArray]
@@ -71,23 +71,36 @@ def find_unseen_walls(
     align: lays faces along the returns. parse: traces and parses faces.
     """
     found = NO_WALLS
-    directions = wall_directions(walls, direction_share_min)
     for round_ in range(2):
         known = walls.append(found)
-        place, weight, top_m = unexplained_columns(votes, known, refused, settings.explained_m)
         if round_ == 0:
-            lines = straight_lines(place, weight, directions, settings.half_thickness_m, gap_m)
+            candidates = lines_along(walls, refused, votes, gap_m, direction_share_min, settings)
         else:
-            clear_m = storey.clear_m(place, 2.0)
+            place, _, top_m = unexplained_columns(votes, known, refused, settings.explained_m)
+            clear_m = storey.clear_m(place, CEILING_NEAR_M)
             is_high = top_m - storey.ground_m(place) > np.fmin(clear_m - 0.35, 2.25)
-            lines = lines_of_any_direction(place[is_high], settings)
-        candidates = _new(lines, known, settings)
+            candidates = _new(lines_of_any_direction(place[is_high], settings), known, settings)
         if len(candidates):
             parsed = parse(align(candidates))
             count = len(parsed.stretches)
             more = [_walls_of(parsed, w, known, gap_m, settings) for w in range(count)]
             found = reduce(Walls.append, more, found)
     return found
+
+
+def lines_along(
+    walls: Walls,
+    refused: Walls,
+    votes: VoxelVotes,
+    gap_m: float,
+    direction_share_min: float,
+    settings: UnseenWallsSettings,
+) -> Walls:
+    """Lines of returns along the walls' directions that no face explains, from both sides."""
+    directions = wall_directions(walls, direction_share_min)
+    place, weight, _ = unexplained_columns(votes, walls, refused, settings.explained_m)
+    lines = straight_lines(place, weight, directions, settings.half_thickness_m, gap_m)
+    return _new(lines, walls, settings)
 
 
 def _new(lines: list[Line], known: Walls, settings: UnseenWallsSettings) -> Walls:

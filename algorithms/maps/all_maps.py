@@ -3,9 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ffmap.algorithms.building.cells import WallCells
 from ffmap.algorithms.building.drive import AllScans
-from ffmap.algorithms.building.evidence import DEEP
 from ffmap.algorithms.building.fusion import Building
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
@@ -59,8 +57,8 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Ma
     doors, windows, knee_m = building.model.doors, building.model.windows, settings.building.knee_m
     # Rays that passed windows count here: the grid shows farther places as well.
     faces = both_sides(building.model.walls)
-    cells = WallCells.of_layers(scans.trace(faces, NO_WINDOWS), DEEP)
-    immobile = Immobile(building.model.walls, cells, scans.votes, doors, windows)
+    evidence = scans.trace(faces, NO_WINDOWS)
+    immobile = Immobile(building.model.walls, evidence, scans.votes, doors, windows)
     standing = standing_stretches(immobile, knee_m)
     places = [immobile.walls.ends, doors.ends, scans.path_map]
     frame = GridMap.around(places, settings.grid_map.cell_m)

@@ -10,8 +10,7 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, segments
-from ffmap.algorithms.building.cells import THROUGH, WallCells, returns_at_face
-from ffmap.algorithms.building.evidence import FOOT_ROW
+from ffmap.algorithms.building.evidence import BEYOND, FAR, FOOT_ROW, ON, RECESS, Evidence
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
     CELL_M,
@@ -54,12 +53,12 @@ _NO_FACES: FloatArray = np.zeros((0, 2, 2))
 class Immobile:
     """The fixed structure of a building.
 
-    cells: what rays found of `both_sides` of the walls, see `trace_rays`. votes: all scans' labels
-    by voxel, which reach farther.
+    evidence: what rays found of `both_sides` of the walls. votes: all scans' labels by voxel, which
+    reach farther.
     """
 
     walls: Walls
-    cells: WallCells
+    evidence: Evidence
     votes: VoxelVotes
     doors: Doors
     windows: Windows
@@ -119,17 +118,18 @@ def standing_stretches(immobile: Immobile, knee_m: float) -> Walls:
     - the reveals of windows, below which the wall continues;
     - the leaves of open doors.
     """
-    walls, cells = immobile.walls, immobile.cells
-    first, behind = cells.first[: len(walls) + 1], cells.first[len(walls) :]
+    walls, evidence = immobile.walls, immobile.evidence
     voted = immobile.votes.mean_position[immobile.votes.label == Label.WALL, :2]
     tree = cKDTree(voted) if len(voted) else None
     owner: list[int] = []
     found: list[FloatArray] = []
     for w, face in enumerate(segments(walls)):
-        counts = cells.counts[first[w] : first[w + 1]].astype(np.float64)
-        counts_behind = cells.counts[behind[w] : behind[w + 1]].astype(np.float64)
-        supported = _near(returns_at_face(counts)) >= _RAYS_MIN
-        missing = _passed(counts, counts_behind, knee_m)
+        sides = (
+            evidence.ended[evidence.columns(w)],
+            evidence.ended[evidence.columns(len(walls) + w)],
+        )
+        supported = _near(_on(sides[0])) >= _RAYS_MIN
+        missing = _passed(sides, knee_m)
         middles = face.at((np.arange(len(supported)) + 0.5) * CELL_M)
         if tree is not None:
             near = tree.query_ball_point(middles, AT_FACE_M, return_length=True)
@@ -158,11 +158,16 @@ def _near(rays: FloatArray) -> FloatArray:
     return np.convolve(rays.sum(axis=1), np.ones(3))[1:-1]
 
 
-def _passed(front: FloatArray, behind: FloatArray, knee_m: float) -> BoolArray:
+def _on(ended: FloatArray) -> FloatArray:
+    """(c, rows) the rays that ended on a face, or in its recess."""
+    return np.asarray(ended[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64))
+
+
+def _passed(sides: Sequence[FloatArray], knee_m: float) -> BoolArray:
     """(c,) whether rays from either side passed the columns of a face between foot and knee."""
     low = slice(FOOT_ROW, cells_in(knee_m))
-    on = sum(_near(returns_at_face(counts[:, low])) for counts in (front, behind))
-    through = sum(_near(counts[:, low, THROUGH]) for counts in (front, behind))
+    on = sum(_near(_on(ended[:, low])) for ended in sides)
+    through = sum(_near(ended[:, low, FAR : BEYOND + 1].sum(axis=-1)) for ended in sides)
     return np.asarray((through >= _PASSED_RAYS_MIN) & (through > _PASSED_RATIO * on))
 
 

@@ -11,10 +11,10 @@ from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m, moved
 from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import covered_places
-from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.height_map import HeightMap
 from ffmap.algorithms.building.model import CELL_M, Doors
+from ffmap.algorithms.building.verdicts import JudgedFaces
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.building_reasons import REFUSALS, building_document
@@ -52,8 +52,7 @@ def log_fused_walls(log: Log, aligned: AlignedFaces) -> None:
     labels = [
         f"before alignment to all returns ({scans} scans): its ends then moved "
         f"{100 * a:+.1f} and {100 * b:+.1f} cm towards the room"
-        f"{'; part of a face that was cut at a step' if cut else ''}"
-        for scans, (a, b), cut in zip(fused.scan_count, aligned.moved_m, aligned.cut, strict=True)
+        for scans, (a, b) in zip(fused.scan_count, aligned.moved_m, strict=True)
     ]
     lines = strips(at_height(fused.ends, 0.0), _FUSED_COLOR, 1.0, labels, show_labels=False)
     moves = evidence(moved_m=aligned.moved_m, scan_count=fused.scan_count)
@@ -115,7 +114,7 @@ def _log_doors(log: Log, doors: Doors) -> None:
     of_doors = evidence(
         doors,
         *("state", "confidence", "agreement", "coverage", "lintel", "scan_count", "depth_m"),
-        *("ajar", "crossed", "ray_count", "casing_m", "contrast", "outline", "glazed"),
+        *("ajar", "crossed", "ray_count", "glazed"),
     )
     drawn = strips(frames, DOOR_COLOR, 3.0, labels, show_labels=False)
     log.static("/world/building/doors", drawn, of_doors)
@@ -128,20 +127,17 @@ def _log_doors(log: Log, doors: Doors) -> None:
 
 def _log_windows(log: Log, building: BuildingModel) -> None:
     windows, leaf_panes = building.windows, building.leaf_panes
-    mullions, blinds = building.mullions, building.blinds
+    blinds = building.blinds
     glass = windows.append(leaf_panes)
     if len(glass):
         frames = upright_frames(glass.ends, glass.bottom_m, glass.top_m)
         labels = ["window"] * len(windows) + ["pane of an open leaf"] * len(leaf_panes)
         panes = strips(frames, _OUTSIDE_COLOR, 1.5, labels, show_labels=False)
         log.static("/world/building/windows", panes)
-    if len(mullions):
-        fronts = panel_mesh(mullions.front, mullions.bottom_m, mullions.top_m, WALL_COLOR)
-        log.static("/world/building/mullions", fronts, evidence(mullions, "out_m"))
     if len(blinds):
         ends = moved(blinds.ends, blinds.normal, -blinds.behind_m)
         hung = panel_mesh(ends, blinds.bottom_m, blinds.top_m, _CLUTTER_COLOR)
-        log.static("/world/building/blinds", hung, evidence(blinds, "behind_m", "contrast"))
+        log.static("/world/building/blinds", hung, evidence(blinds, "behind_m"))
 
 
 def _log_levels(log: Log, levels: Sequence[HeightMap]) -> None:

@@ -2,34 +2,29 @@
 
 import numpy as np
 
-from ffmap.algorithms.building.face_verdicts import FaceVerdict
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.model import CELL_M
+from ffmap.algorithms.building.verdicts import FaceVerdict
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.app.record.tables import fields_table, table
 
 REFUSALS: dict[int, str] = {
-    FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling, or beside it above a longer part "
-    "(a leaf, a cupboard)",
-    FaceVerdict.HANGS: "rays pass below it, or the robot drove along it (a duct, a beam)",
-    FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, "
-    "and it ends below the ceiling (a side of furniture)",
-    FaceVerdict.LEANS: "it crosses a face that far more scans saw, at a small angle (an open leaf)",
+    FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
+    FaceVerdict.HANGS: "it is open below over more than a doorway (a duct, a beam)",
+    FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, and it does not show "
+    "itself as a wall (a side of furniture)",
+    FaceVerdict.LEANS: "it crosses a face that far more scans saw, askew (an open leaf)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (a house across the street)",
-    FaceVerdict.MIRRORED: "it is seen past a window alone (a reflection of another wall)",
-    FaceVerdict.FOLDED: "it is before and behind its plane by turns (a curtain)",
 }
 """Why a face is not a wall."""
 
 _DOORS = """\
 ## Doors
 A door has wall above it, or an overlight. Below, rays pass (open), or end on a leaf (closed).
-A closed leaf is recessed, or detected by its casing, finish or outline, or made of glass.
+A closed leaf is recessed, hangs before the wall, or is made of glass.
 
 - confidence = agreement (share of its rays) × coverage (share of its 5 cm columns)
 - depth: the leaf behind the wall
-- contrast, outline: how much more the leaf or its outline reflects than the wall
-- casing: before the wall
 - lintel: share of the width with wall above
 """
 _AGAINST = """\
@@ -42,10 +37,9 @@ _LOW_WALLS = """\
 Rays pass above them, below the ceiling. They are plane, and their other side is seen at a
 wall's thickness: furniture is deeper, screens are thinner.
 """
-_MULLIONS = "A mullion is narrow, as high as a pane, and has a pane on either side; it is wall.\n"
 _BLINDS = """\
-A blind or shutter closes the upper part of a window. It is not in its wall's face as a lintel
-is, or reflects more or less than the wall; it is clutter.
+A blind or shutter closes a window, or its upper part. It is set back behind its wall's face; it
+is clutter.
 """
 
 
@@ -58,7 +52,7 @@ def building_document(building: BuildingModel) -> str:
         of_doors = fields_table(
             doors,
             *("confidence", "agreement", "ray_count", "coverage", "crossed", "ajar", "depth_m"),
-            *("contrast", "outline", "casing_m", "glazed", "head_m", "lintel"),
+            *("glazed", "head_m", "lintel"),
             *("scan_count", "first_scan", "last_scan"),
             state=states,
         )
@@ -75,8 +69,7 @@ def building_document(building: BuildingModel) -> str:
         ("Windows", _PANE, building.windows, (*between, "pane_m")),
         ("Panes of open leaves", _PANE, building.leaf_panes, (*between, "pane_m")),
         ("Low walls", _LOW_WALLS, building.low_walls, ("top_m", "rms_m")),
-        ("Mullions", _MULLIONS, building.mullions, (*between, "out_m")),
-        ("Blinds and shutters", _BLINDS, building.blinds, (*between, "behind_m", "contrast")),
+        ("Blinds and shutters", _BLINDS, building.blinds, (*between, "behind_m")),
     ):
         if len(found):
             parts += [f"## {heading}", text, fields_table(found, *fields)]

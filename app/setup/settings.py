@@ -15,30 +15,19 @@ from pydantic import Field, ValidationError
 
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.blinds import BlindsSettings
-from ffmap.algorithms.building.door_casings import DoorCasingsSettings
-from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
-from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
-from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
-from ffmap.algorithms.building.face_steps import FaceStepsSettings
-from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
-from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import FusionSettings
-from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
-from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
-from ffmap.algorithms.building.openings import OpeningsSettings
 from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.unseen_walls import UnseenWallsSettings
-from ffmap.algorithms.building.windows import WindowsSettings
+from ffmap.algorithms.building.verdicts import StandingWallsSettings
 from ffmap.algorithms.maps.all_maps import MapsSettings
 from ffmap.algorithms.maps.area_graph import AreaGraphSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
@@ -133,23 +122,12 @@ class Settings(StepSettings):
     doors: DoorsSettings = DoorsSettings()
     building: BuildingSettings = BuildingSettings()
     levels: LevelsSettings = LevelsSettings()
-    face_columns: FaceColumnsSettings = FaceColumnsSettings()
     face_alignment: FaceAlignmentSettings = FaceAlignmentSettings()
-    face_steps: FaceStepsSettings = FaceStepsSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
-    folds: FoldsSettings = FoldsSettings()
     parse: ParseSettings = ParseSettings()
-    missed_walls: MissedWallsSettings = MissedWallsSettings()
     unseen_walls: UnseenWallsSettings = UnseenWallsSettings()
     low_walls: LowWallsSettings = LowWallsSettings()
     foreground: ForegroundSettings = ForegroundSettings()
-    openings: OpeningsSettings = OpeningsSettings()
-    windows: WindowsSettings = WindowsSettings()
-    blinds: BlindsSettings = BlindsSettings()
-    glass_fronts: GlassFrontsSettings = GlassFrontsSettings()
-    door_casings: DoorCasingsSettings = DoorCasingsSettings()
-    door_contrasts: DoorContrastsSettings = DoorContrastsSettings()
-    door_outlines: DoorOutlinesSettings = DoorOutlinesSettings()
     door_frames: DoorFramesSettings = DoorFramesSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
