@@ -5,11 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.building.doors import find_doors
-from ffmap.algorithms.building.face_columns import TracedFaces
-from ffmap.algorithms.building.model import NO_WINDOWS, Doors, Walls, Windows
-from ffmap.algorithms.building.openings import OpeningRules
-from ffmap.algorithms.building.ray_evidence import WallCells
+from ffmap.algorithms.building.evidence import Evidence
+from ffmap.algorithms.building.model import Doors, Walls, Windows
+from ffmap.algorithms.building.storey import TracedFaces
 
 CEILING_M = 2.8
 
@@ -35,23 +33,17 @@ def faces(*ends: Ends) -> Walls:
 
 
 def doors(*ends: Ends, head_m: float = 2.1, **columns: Any) -> Doors:
-    """Doors of which all is 0 that is not given, and that no casing shows."""
+    """Doors of which all is 0 that is not given."""
     nothing = {field.name: np.zeros(len(ends)) for field in fields(Doors)}
-    nothing |= {name: np.full(len(ends), np.nan) for name in ("casing_m", "contrast", "outline")}
     given = {name: np.array(values) for name, values in columns.items()}
     heads = np.full(len(ends), head_m)
     return Doors(**nothing | {"ends": np.array(ends), "head_m": heads} | given)
 
 
-def traced(walls: Walls, cells: WallCells, clear_m: np.ndarray | float = np.nan) -> TracedFaces:
+def traced(walls: Walls, evidence: Evidence, clear_m: np.ndarray | float = np.nan) -> TracedFaces:
     """Faces and the rays that met them; clear_m: height of the ceiling before them, if any."""
-    columns = int(cells.first[-1])
-    return TracedFaces(walls, cells, np.full(columns, clear_m), np.zeros(columns))
-
-
-def doors_in(faces: TracedFaces, rules: OpeningRules, windows: Windows = NO_WINDOWS) -> Doors:
-    """The doors of faces before which no floor was seen."""
-    return find_doors(faces, rules, windows, np.zeros(len(faces.clear_m), bool))
+    columns = int(evidence.first[-1])
+    return TracedFaces(walls, evidence, np.full(columns, clear_m), np.zeros(columns))
 
 
 def window(*ends: tuple[float, float]) -> Windows:

@@ -4,8 +4,9 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.building.drive import TraceOnce
+from ffmap.algorithms.building.evidence import Evidence, trace
 from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
-from ffmap.algorithms.building.ray_evidence import WallCells, trace_rays
+from ffmap.algorithms.building.rays import OwnPlane
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.scan.summary import Features
 
@@ -33,9 +34,13 @@ def rays_alone(
     )
 
 
-def tracing(features: Features) -> TraceOnce:
-    def trace(faces: Walls, settings: BuildingSettings, through: Windows | None) -> WallCells:
-        rays = features if through is None else rays_through(through, features)
-        return trace_rays(faces, [rays], settings)
+def traced_by(faces: Walls, *scans: Features, at_ends: bool = False) -> Evidence:
+    settings = BuildingSettings()
+    return trace(faces, scans, settings.range_m, OwnPlane.of(settings), at_ends)
 
-    return TraceOnce(trace)
+
+def tracing(features: Features) -> TraceOnce:
+    def trace_part(faces: Walls, through: Windows | None) -> Evidence:
+        return traced_by(faces, features if through is None else rays_through(through, features))
+
+    return TraceOnce(trace_part)
