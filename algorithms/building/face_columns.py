@@ -13,9 +13,8 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.ceilings import of_rooms
-from ffmap.algorithms.building.height_map import HeightMap, corrected
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.heights import HeightMap, corrected
+from ffmap.algorithms.building.levels import LevelsSettings, of_rooms
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_WALLS,

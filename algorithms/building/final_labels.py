@@ -26,7 +26,7 @@ from ffmap.algorithms.building.face_columns import CEILING_MARGIN_M
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import JudgedFaces
 from ffmap.algorithms.building.halo import Halo
-from ffmap.algorithms.building.height_map import HeightMap
+from ffmap.algorithms.building.heights import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import (
     CELL_M,

@@ -66,7 +66,7 @@ from ffmap.algorithms.building.glass_fronts import (
 )
 from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_open_leaves
 from ffmap.algorithms.building.halo import Halo, HaloSettings, find_halo, halo_at_walls
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings, find_low_walls, without_low_walls
 from ffmap.algorithms.building.missed_walls import (
     AllReturns,

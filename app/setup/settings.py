@@ -30,7 +30,7 @@ from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import FusionSettings
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.halo import HaloSettings
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
 from ffmap.algorithms.building.missed_walls import MissedWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings

@@ -25,7 +25,7 @@ from ffmap.algorithms.building.face_verdicts import (
     trim_at_doorways,
 )
 from ffmap.algorithms.building.folds import FoldsSettings
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,

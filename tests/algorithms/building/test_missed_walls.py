@@ -11,7 +11,7 @@ from ffmap.algorithms.base.segments import Segment
 from ffmap.algorithms.building.face_columns import FaceColumnsSettings, Storey, TracedFaces
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.folds import FoldsSettings
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.missed_walls import (
     AllReturns,
     MissedWalls,
