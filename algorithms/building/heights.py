@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import reduce
 
-import numba
 import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_array
@@ -80,35 +79,15 @@ class HeightMap:
 
     def label_of(self, points_map: FloatArray, label: UInt8Array) -> UInt8Array:
         """Return the labels (n,) of points (n, 3), corrected between the surface's heights."""
-        # Compiled code takes plain numbers: Numba would type all members of an enumeration.
-        codes = int(self.surface.taken_for), int(self.surface.label)
-        grid = self.origin, self.cell_m, self.low_m, self.high_m
-        return np.asarray(_label_between(points_map, label, *codes, *grid))
-
-
-@numba.njit(cache=True, nogil=True)
-def _label_between(
-    points: FloatArray,
-    label: UInt8Array,
-    taken_for: int,
-    wanted: int,
-    origin: FloatArray,
-    cell_m: float,
-    low_m: FloatArray,
-    high_m: FloatArray,
-) -> UInt8Array:  # pragma: no cover
-    """Replace label `taken_for` by `wanted` where points lie between the heights of their cell."""
-    corrected = label.copy()
-    rows, columns = low_m.shape
-    for i in range(len(points)):
-        if label[i] == taken_for:
-            column = np.floor((points[i, 0] - origin[0]) / cell_m)
-            row = np.floor((points[i, 1] - origin[1]) / cell_m)
-            if 0 <= column < columns and 0 <= row < rows:
-                cell = int(row), int(column)
-                if low_m[cell] < points[i, 2] < high_m[cell]:
-                    corrected[i] = wanted
-    return corrected
+        doubted = np.flatnonzero(label == self.surface.taken_for)
+        cell = np.floor((points_map[doubted, 1::-1] - self.origin[::-1]) / self.cell_m)
+        inside = ((cell >= 0) & (cell < self.low_m.shape)).all(axis=1)
+        doubted, (row, column) = doubted[inside], cell[inside].astype(np.int64).T
+        z = points_map[doubted, 2]
+        between = (self.low_m[row, column] < z) & (z < self.high_m[row, column])
+        corrected = label.copy()
+        corrected[doubted[between]] = self.surface.label
+        return corrected
 
 
 def corrected(levels: Iterable[HeightMap], points: FloatArray, label: UInt8Array) -> UInt8Array:
@@ -151,14 +130,11 @@ class PlanGrid:
         row, column = np.clip(cell, 0, np.array(self.shape) - 1).T
         return row, column
 
-    def within(self, position: FloatArray) -> FloatArray:
-        """The positions (n, 3) that lie in the grid."""
-        cell = np.floor((position[:, 1::-1] - self.origin[::-1]) / self.cell_m)
-        return position[((cell >= 0) & (cell < self.shape)).all(axis=1)]
-
     def places(self, position: FloatArray, quantile: float) -> FloatArray:
         """(rows, columns, 3) each cell's position at a quantile of its heights, NaN without."""
-        position = self.within(position)
+        high = self.origin + self.cell_m * np.array(self.shape[::-1])
+        inside = (position[:, :2] >= self.origin) & (position[:, :2] < high)
+        position = position[inside.all(axis=1)]
         index = np.ravel_multi_index(self.cells(position), self.shape)
         order = np.lexsort((position[:, 2], index))
         own, first, count = np.unique(index[order], return_index=True, return_counts=True)

@@ -255,7 +255,7 @@ def map_drops(layers: Layers, ceiling: HeightMap) -> HeightMap:
     all_cells, seen, holding = count(hangs), count(sides), count(held)
     closed = count(sides & (top_m - high_m < 2.0 * layer_m)) > _CLOSED_MIN * seen
     boxes = ndimage.find_objects(parts)
-    length = np.array([0, *(max(r.stop - r.start, c.stop - c.start) for r, c in boxes)])
+    length = np.array([0, *(np.hypot(r.stop - r.start, c.stop - c.start) for r, c in boxes)])
     is_duct = (count(near_wall) > 0.8 * all_cells) & (holding < length)
     long = length * grid.cell_m > settings.lamp_max_m
     built = (seen >= WINDOW) & closed & ((holding > 0) | long) & ~is_duct & (holding < all_cells)
