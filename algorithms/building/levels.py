@@ -62,9 +62,6 @@ class LevelsSettings(StepSettings):
     margin_m: float = Field(
         0.04, gt=0, description="Half thickness (m) of a surface: 3 σ of range noise, and drift."
     )
-    ceiling_reach_m: float = Field(
-        1.5, ge=0, description="Distance (m) over which a level ceiling continues unseen."
-    )
     ceiling_min_m: float = Field(
         2.2, gt=0, description="Minimum height (m) of a room, as building codes demand."
     )
@@ -85,9 +82,6 @@ class LevelsSettings(StepSettings):
     )
     platform_width_m: float = Field(
         1.2, gt=0, description="Minimum width (m) of a floor beside that of scans; pallets: 0.8."
-    )
-    drop_max_m: float = Field(
-        1.5, gt=0, description="Maximum height (m) of a beam, a coffer or a rooflight's shaft."
     )
     headroom_m: float = Field(
         1.9, gt=0, description="Minimum height (m) above the floor of a beam's underside."
@@ -128,7 +122,7 @@ class Layers:
     @classmethod
     def of(cls, votes: VoxelVotes, settings: LevelsSettings, cell_m: float) -> "Layers":
         """Cover all voxels. votes: of the scans' labels."""
-        grid = PlanGrid.around(votes.mean_position, cell_m, settings.ceiling_reach_m)
+        grid = PlanGrid.around(votes.mean_position, cell_m, settings.ceiling_width_m)
         floor = votes.seen(settings.votes_min) & (votes.label == Label.FLOOR)
         floor_m = grid.heights(votes.mean_position[floor], 0.5)
         return cls(votes, settings, grid, floor_m[nearest_known(np.isfinite(floor_m))[1]])
@@ -174,9 +168,9 @@ def map_ceiling(layers: Layers) -> HeightMap:
     height_m = np.where(known, patches.height_m, layers.heights(Label.CEILING))
     away, nearest = nearest_known(np.isfinite(height_m))
     sloping = (known & (patches.slope > _SLOPING))[nearest]
-    # A level ceiling continues to the room's walls, a sloping one on its plane through the window.
+    # A level ceiling continues above what is as wide as a duct, a sloping one within a window.
     height_m = np.where(sloping, patches.height_m, height_m[nearest])
-    reach_m = np.where(sloping, 0.5 * WINDOW * grid.cell_m, settings.ceiling_reach_m)
+    reach_m = np.where(sloping, 0.5 * WINDOW * grid.cell_m, settings.ceiling_width_m)
     height_m[away * grid.cell_m > reach_m] = np.nan
     within_cell_m = np.where(sloping, 0.5 * grid.cell_m * patches.slope, 0.0)
     return grid.map(Surface.CEILING, height_m, settings.margin_m + within_cell_m)
@@ -234,16 +228,11 @@ def map_drops(layers: Layers, ceiling: HeightMap) -> HeightMap:
     sloping = ceiling.high_m - ceiling.low_m > 2.0 * settings.margin_m + 1e-6
     top_m = np.where(sloping, ceiling_m, highest_around(ceiling_m, WINDOW))
 
-    def below(*labels: Label) -> FloatArray:
-        position = layers.labelled(*labels)
-        return position[top_m[grid.cells(position)] - position[:, 2] > 0.5 * layer_m]
-
-    low_m, high_m = _topmost(grid, below(Label.CEILING, Label.CLUTTER))
-    drop_m = top_m - low_m
-    hangs = (drop_m > _DROP_MIN_M) & (drop_m < settings.drop_max_m)
-    hangs &= low_m - layers.ground_m > settings.headroom_m
-    wall_m = grid.heights(below(Label.WALL), 1.0)
-    walls = top_m - wall_m < settings.drop_max_m
+    over = layers.labelled(Label.CEILING, Label.CLUTTER)
+    low_m, high_m = _topmost(grid, over[top_m[grid.cells(over)] - over[:, 2] > 0.5 * layer_m])
+    hangs = (top_m - low_m > _DROP_MIN_M) & (low_m - layers.ground_m > settings.headroom_m)
+    wall = layers.labelled(Label.WALL)
+    walls = np.isfinite(grid.heights(wall[wall[:, 2] < top_m[grid.cells(wall)]], 0.0))
     parts = level_parts(hangs, low_m, 2.0 * _FLAT_M)
 
     def count(cells: BoolArray) -> IntArray:
@@ -251,14 +240,13 @@ def map_drops(layers: Layers, ceiling: HeightMap) -> HeightMap:
 
     sides = ~walls & (high_m - low_m > layer_m)
     off_wall_m = nearest_known(walls)[0] * grid.cell_m
-    held, near_wall = off_wall_m < 2.0 * grid.cell_m, off_wall_m < _SLIT_MAX_M
-    all_cells, seen, holding = count(hangs), count(sides), count(held)
+    seen, holding = count(sides), count(off_wall_m < 2.0 * grid.cell_m)
     closed = count(sides & (top_m - high_m < 2.0 * layer_m)) > _CLOSED_MIN * seen
     boxes = ndimage.find_objects(parts)
     length = np.array([0, *(np.hypot(r.stop - r.start, c.stop - c.start) for r, c in boxes)])
-    is_duct = (count(near_wall) > 0.8 * all_cells) & (holding < length)
+    is_duct = (count(off_wall_m < _SLIT_MAX_M) > 0.8 * count(hangs)) & (holding < length)
     long = length * grid.cell_m > settings.lamp_max_m
-    built = (seen >= WINDOW) & closed & ((holding > 0) | long) & ~is_duct & (holding < all_cells)
+    built = (seen >= WINDOW) & closed & ((holding > 0) | long) & ~is_duct
     low_m = lowest_around(np.where(built[parts], low_m, np.nan), 3) - settings.margin_m
     return grid.map(Surface.CEILING_DROP, 0.5 * (low_m + top_m), 0.5 * (top_m - low_m))
 
@@ -284,7 +272,7 @@ def of_rooms(ceiling: FloatArray, settings: LevelsSettings) -> BoolArray:
     A scan labels the underside of a duct, or of a board over a wardrobe, as ceiling if it is at the
     height of another room's ceiling. What ends there is no wall.
     """
-    grid = PlanGrid.around(ceiling, settings.cell_m, settings.ceiling_reach_m)
+    grid = PlanGrid.around(ceiling, settings.cell_m, 0.0)
     lowest = grid.places(ceiling, 0.0)
     patches = find_patches(grid, lowest, _FLAT_M, settings.margin_m, settings.slope_max)
     narrow = (patches.width_m < settings.ceiling_width_m)[patches.number]
