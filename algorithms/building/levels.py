@@ -48,8 +48,8 @@ _DROP_MIN_M = 0.08
 """Minimum height of what hangs below a ceiling: two surfaces' thicknesses."""
 _GAP_M = 0.15
 """Maximum gap between the returns of one upright side."""
-_CLOSED_MIN = 0.6
-"""Minimum share of a drop's visible sides that reach the ceiling; lamps hide others."""
+_SIDES_MIN, _CLOSED_MIN = 5, 0.6
+"""Minimum number of cells that show a drop's sides, and share of those that reach the ceiling."""
 _SLIT_MAX_M = 0.65
 """Maximum distance from its wall of a duct that runs along it."""
 
@@ -63,31 +63,31 @@ class LevelsSettings(StepSettings):
         0.04, gt=0, description="Half thickness (m) of a surface: 3 σ of range noise, and drift."
     )
     ceiling_min_m: float = Field(
-        2.2, gt=0, description="Minimum height (m) of a room, as building codes demand."
+        2.2, gt=0, description="Minimum height (m) of a level ceiling: rooms in building codes."
     )
     knee_min_m: float = Field(
-        1.0, gt=0, description="Minimum height (m) of a sloping ceiling: knee walls of attics."
+        1.0, gt=0, description="Minimum height (m) of a sloping ceiling: where living area begins."
     )
     slope_max: float = Field(
         1.8, gt=0, description="Maximum rise per metre of a sloping ceiling: roofs of up to 60°."
     )
     ceiling_width_m: float = Field(
-        0.8, gt=0, description="Minimum width (m) of a ceiling; ducts are narrower."
+        0.8, gt=0, description="Minimum width (m) of a ceiling: ducts and cupboards are narrower."
     )
     step_min_m: float = Field(
-        0.06, gt=0, description="Minimum height (m) of a step; carpets and sills are lower."
+        0.06, gt=0, description="Minimum height (m) of a step: sills and carpets are lower."
     )
     step_max_m: float = Field(
-        0.30, gt=0, description="Maximum height (m) of a platform's floor; seats are higher."
+        0.30, gt=0, description="Maximum height (m) of a step: stools and seats are higher."
     )
     platform_width_m: float = Field(
-        1.2, gt=0, description="Minimum width (m) of a floor beside that of scans; pallets: 0.8."
+        1.2, gt=0, description="Minimum width (m) of a platform: pallets are 0.8, mattresses 0.9."
     )
     headroom_m: float = Field(
-        1.9, gt=0, description="Minimum height (m) above the floor of a beam's underside."
+        1.9, gt=0, description="Minimum height (m) of a beam above the floor: low door heads."
     )
     lamp_max_m: float = Field(
-        2.0, gt=0, description="Maximum length (m) of lamps, which no wall holds."
+        2.0, gt=0, description="Maximum length (m) of a lamp: tubes are at most 1.5 m long."
     )
 
 
@@ -227,7 +227,6 @@ def map_drops(layers: Layers, ceiling: HeightMap) -> HeightMap:
     ceiling_m = 0.5 * (ceiling.low_m + ceiling.high_m)
     sloping = ceiling.high_m - ceiling.low_m > 2.0 * settings.margin_m + 1e-6
     top_m = np.where(sloping, ceiling_m, highest_around(ceiling_m, WINDOW))
-
     over = layers.labelled(Label.CEILING, Label.CLUTTER)
     low_m, high_m = _topmost(grid, over[top_m[grid.cells(over)] - over[:, 2] > 0.5 * layer_m])
     hangs = (top_m - low_m > _DROP_MIN_M) & (low_m - layers.ground_m > settings.headroom_m)
@@ -246,7 +245,7 @@ def map_drops(layers: Layers, ceiling: HeightMap) -> HeightMap:
     length = np.array([0, *(np.hypot(r.stop - r.start, c.stop - c.start) for r, c in boxes)])
     is_duct = (count(off_wall_m < _SLIT_MAX_M) > 0.8 * count(hangs)) & (holding < length)
     long = length * grid.cell_m > settings.lamp_max_m
-    built = (seen >= WINDOW) & closed & ((holding > 0) | long) & ~is_duct
+    built = (seen >= _SIDES_MIN) & closed & ((holding > 0) | long) & ~is_duct
     low_m = lowest_around(np.where(built[parts], low_m, np.nan), 3) - settings.margin_m
     return grid.map(Surface.CEILING_DROP, 0.5 * (low_m + top_m), 0.5 * (top_m - low_m))
 
