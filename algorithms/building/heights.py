@@ -118,12 +118,6 @@ class PlanGrid:
         columns, rows = (np.floor((kept.max(axis=0) + margin_m) / cell_m) - first).astype(int) + 1
         return cls(first * cell_m, (int(rows), int(columns)), cell_m)
 
-    @property
-    def centres(self) -> FloatArray:
-        """(rows, columns, 2) x and y of the cells' centres."""
-        cells = np.indices(self.shape)[::-1].transpose(1, 2, 0)
-        return np.asarray(self.origin + (cells + 0.5) * self.cell_m)
-
     def cells(self, position: FloatArray) -> tuple[IntArray, IntArray]:
         """Row and column (n,) of positions (n, 3); outside the grid, of the nearest cell."""
         cell = np.floor((position[:, 1::-1] - self.origin[::-1]) / self.cell_m).astype(np.int64)
@@ -177,9 +171,7 @@ class Patches:
 
     def medians(self, values: FloatArray) -> FloatArray:
         """(patches + 1,) the median of values (rows, columns) over each patch."""
-        known = (self.number > 0) & np.isfinite(values)
-        index = np.arange(len(self.width_m))
-        return np.asarray(ndimage.median(np.where(known, values, 0.0), self.number * known, index))
+        return np.asarray(ndimage.median(values, self.number, np.arange(len(self.width_m))))
 
 
 def find_patches(
@@ -211,7 +203,8 @@ def find_patches(
     number = np.where(member, parts[nearest], 0)
     boxes = enumerate(ndimage.find_objects(number), 1)
     widths = [0.0, *(_width(number[box] == i) for i, box in boxes)]
-    return Patches(number, plane_m(grid.centres), slope, grid.cell_m * np.array(widths))
+    centres = grid.origin + (np.indices(grid.shape)[::-1].transpose(1, 2, 0) + 0.5) * grid.cell_m
+    return Patches(number, plane_m(centres), slope, grid.cell_m * np.array(widths))
 
 
 def _width(mask: BoolArray) -> float:
