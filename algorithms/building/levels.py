@@ -231,7 +231,10 @@ def map_drops(layers: Layers, ceiling: HeightMap) -> HeightMap:
     low_m, high_m = _topmost(grid, over[top_m[grid.cells(over)] - over[:, 2] > 0.5 * layer_m])
     hangs = (top_m - low_m > _DROP_MIN_M) & (low_m - layers.ground_m > settings.headroom_m)
     wall = layers.labelled(Label.WALL)
-    walls = np.isfinite(grid.heights(wall[wall[:, 2] < top_m[grid.cells(wall)]], 0.0))
+    wall = wall[wall[:, 2] < top_m[grid.cells(wall)]]
+    walls = grid.heights(wall, 0.0) - layers.ground_m < settings.headroom_m
+    # Scans take the sides of deep beams for walls, which stand lower.
+    high_m = np.where(walls, high_m, np.fmax(high_m, grid.heights(wall, 1.0)))
     parts = level_parts(hangs, low_m, 2.0 * _FLAT_M)
 
     def count(cells: BoolArray) -> IntArray:
