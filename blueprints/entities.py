@@ -3,7 +3,7 @@
 from enum import IntEnum
 
 from ffmap.algorithms.base.labels import NO_RETURN, Label, Verdict
-from ffmap.algorithms.building.height_map import Surface
+from ffmap.algorithms.building.heights import Surface
 from ffmap.algorithms.truth.maps import Agreement
 
 APPLICATION_ID = "furniture_free_mapping"
@@ -40,7 +40,7 @@ CANDIDATE_PLANE_COLOR = "plane_color"
 
 GRAPH_UNITS_PER_M = 25.0
 """Scale of the graph of rooms: its view draws names in its own units."""
-OVERHEAD = [s for s in Surface if s.label == Label.CEILING] + [Surface.MIRRORED_FLOOR]
+OVERHEAD = [s for s in Surface if s.label == Label.CEILING]
 """Level surfaces that hide the rooms below them."""
 
 Color = tuple[int, int, int]

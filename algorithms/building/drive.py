@@ -8,9 +8,8 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.building.evidence import Evidence, joined, rows_of
-from ffmap.algorithms.building.height_map import HeightMap
-from ffmap.algorithms.building.level_settings import LevelsSettings
-from ffmap.algorithms.building.levels import map_levels
+from ffmap.algorithms.building.heights import HeightMap
+from ffmap.algorithms.building.levels import LevelsSettings, map_levels
 from ffmap.algorithms.building.model import Walls, Windows
 from ffmap.algorithms.building.storey import Storey
 from ffmap.algorithms.building.votes import VoxelVotes
@@ -104,8 +103,8 @@ class AllScans:
 
     @cached_property
     def levels(self) -> tuple[HeightMap, ...]:
-        """The ceilings and floors that they show together, and those that panes mirror."""
-        return map_levels(self.votes, self.drive.blocks(), self.levels_settings)
+        """The ceilings and floors that they show together."""
+        return map_levels(self.votes, self.levels_settings)
 
     @cached_property
     def storey(self) -> Storey:

@@ -128,8 +128,8 @@ def trace(
         if with_light and len(rays.intensity) and not len(light):
             light = np.zeros((*shape, *angles), np.float32)
         sums = ended, depth_sum, squares, light
-        rules = range_m, own, at_ends, layers, cosines
-        _trace(walls.ends, walls.normal, first, *sums, rays, *rules)
+        faces = walls.ends, walls.normal, first
+        _trace(*faces, *sums, rays, range_m, own, at_ends, layers, cosines)
     return Evidence(first, ended, depth_sum, squares, light)
 
 

@@ -24,7 +24,7 @@ from ffmap.algorithms.base.segments import (
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.halo import Halo
-from ffmap.algorithms.building.height_map import HeightMap
+from ffmap.algorithms.building.heights import HeightMap
 from ffmap.algorithms.building.label_reasons import SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import (
     CELL_M,

@@ -23,7 +23,7 @@ from ffmap.algorithms.building.face_foreground import (
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings
 from ffmap.algorithms.building.halo import Halo, HaloSettings, find_halo, halo_at_walls
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings, along_low_walls, find_low_walls
 from ffmap.algorithms.building.model import (
     NO_WALLS,

@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-from ffmap.algorithms.building.height_map import Surface
+from ffmap.algorithms.building.heights import Surface
 
 
 class Reason(IntEnum):
@@ -28,15 +28,11 @@ SURFACE_REASONS = {surface: len(Reason) + place for place, surface in enumerate(
 """The code of each level surface, after those of `Reason`."""
 
 _SURFACE_WORDS = {
-    Surface.CEILING: "a ceiling that other scans found goes on there",
-    Surface.GLIMPSED_CEILING: "all scans together show a ceiling there",
-    Surface.SLOPING_CEILING: "all scans together show a sloping ceiling there",
-    Surface.RAISED_FLOOR: "all scans together show a raised floor there",
-    Surface.FLOOR_BEYOND: "the floor goes on there",
-    Surface.STEP_FRONT: "it is the front of a step between two floors",
+    Surface.CEILING: "all scans together show a ceiling there",
     Surface.CEILING_DROP: "it is a beam, a coffer or a soffit that closes up to the ceiling",
+    Surface.FLOOR: "all scans together show a floor there",
+    Surface.STEP_FRONT: "it is the front of a step between two floors",
     Surface.STOREY_BELOW: "it lies below the floor",
-    Surface.MIRRORED_FLOOR: "a pane overhead mirrors the floor there",
 }
 
 REASONS: dict[int, str] = {

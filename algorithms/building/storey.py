@@ -10,10 +10,9 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment, segments
-from ffmap.algorithms.building.ceilings import of_rooms
 from ffmap.algorithms.building.evidence import Evidence
-from ffmap.algorithms.building.height_map import HeightMap, corrected
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.heights import HeightMap, corrected
+from ffmap.algorithms.building.levels import LevelsSettings, of_rooms
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
 

@@ -12,7 +12,7 @@ from ffmap.algorithms.base.segments import lengths_m, moved
 from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import covered_places
 from ffmap.algorithms.building.final_labels import BuildingModel
-from ffmap.algorithms.building.height_map import HeightMap
+from ffmap.algorithms.building.heights import HeightMap
 from ffmap.algorithms.building.model import CELL_M, Doors
 from ffmap.algorithms.building.verdicts import JudgedFaces
 from ffmap.algorithms.maps.grid import Cell, GridMap

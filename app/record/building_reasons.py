@@ -11,8 +11,8 @@ from ffmap.app.record.tables import fields_table, table
 REFUSALS: dict[int, str] = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "it is open below over more than a doorway (a duct, a beam)",
-    FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, and it does not show "
-    "itself as a wall (a side of furniture)",
+    FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, and it shows no wall "
+    "up to the ceiling (a side of furniture)",
     FaceVerdict.LEANS: "it crosses a face that far more scans saw, askew (an open leaf)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (a house across the street)",
 }

@@ -21,7 +21,7 @@ from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
 from ffmap.algorithms.building.halo import HaloSettings
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.parse import ParseSettings

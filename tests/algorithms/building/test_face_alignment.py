@@ -13,7 +13,7 @@ from ffmap.algorithms.building.face_alignment import (
 from ffmap.algorithms.building.face_columns import Storey
 from ffmap.algorithms.building.face_steps import FaceStepsSettings
 from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
-from ffmap.algorithms.building.level_settings import LevelsSettings
+from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
 from tests.voting import vote

@@ -18,7 +18,7 @@ from ffmap.algorithms.building.final_labels import (
     RelabellingSettings,
 )
 from ffmap.algorithms.building.halo import HaloSettings, find_halo
-from ffmap.algorithms.building.height_map import HeightMap, Surface
+from ffmap.algorithms.building.heights import HeightMap, Surface
 from ffmap.algorithms.building.label_reasons import REASONS, SURFACE_REASONS, Reason
 from ffmap.algorithms.building.model import (
     CELL_M,

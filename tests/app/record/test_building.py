@@ -12,7 +12,7 @@ from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import BuildingModel
-from ffmap.algorithms.building.height_map import HeightMap, Surface
+from ffmap.algorithms.building.heights import HeightMap, Surface
 from ffmap.algorithms.building.model import Blinds, Mullions
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
@@ -45,7 +45,7 @@ def building() -> BuildingModel:
     attic = np.full((2, 3), np.nan)
     attic[1, 2] = 2.0
     heights = attic - 0.04, attic + 0.04
-    levels = (HeightMap(Surface.SLOPING_CEILING, np.array([1.0, 3.0]), 0.1, *heights),)
+    levels = (HeightMap(Surface.CEILING, np.array([1.0, 3.0]), 0.1, *heights),)
     refused = faces(((1.0, 0.0), (1.0, 0.9)))
     judged = JudgedFaces(WALLS, refused, np.array([FaceVerdict.ENDS_LOW]))
     pane = window((2.5, 0.0), (3.5, 0.0))
@@ -78,9 +78,9 @@ def test_walls_doors_and_windows_are_drawn_where_they_are(tmp_path):
     leaf = vectors(found["/world/building/leaves"]["vertex_positions"][0])
     corners = [[1.0, 0, 0], [1.9, 0, 0], [1.9, 0, 2.1], [1.0, 0, 2.1]]
     np.testing.assert_allclose(leaf, corners, rtol=1e-6)
-    sloping = found[f"/world/building/levels/{Surface.SLOPING_CEILING}"]
-    np.testing.assert_allclose(vectors(sloping["centers"][0]), [[1.25, 3.15, 2.0]], rtol=1e-6)
-    np.testing.assert_allclose(sloping["high_m"][0], [2.04], rtol=1e-6)
+    ceiling = found[f"/world/building/levels/{Surface.CEILING}"]
+    np.testing.assert_allclose(vectors(ceiling["centers"][0]), [[1.25, 3.15, 2.0]], rtol=1e-6)
+    np.testing.assert_allclose(ceiling["high_m"][0], [2.04], rtol=1e-6)
 
 
 def test_an_open_door_is_its_frame_alone(tmp_path):
@@ -114,7 +114,7 @@ def test_the_document_has_what_was_measured():
     assert (pane["bottom (m)"], pane["top (m)"], pane["pane (m)"]) == ("0.9", "2.2", "0.1")
     (blind,) = rows_of(document, "Blinds and shutters")
     assert (blind["behind (m)"], blind["contrast"]) == ("0.12", "-0.3")
-    assert "| sloping ceiling | 0.1 | 0.0 | 1.96 – 2.04 |" in document
+    assert "| ceiling | 0.1 | 0.0 | 1.96 – 2.04 |" in document
     assert not re.search(r"\bnan\b", document)
     for heading in ("Low walls", "Mullions", "Panes of open leaves"):
         assert f"## {heading}" not in document
