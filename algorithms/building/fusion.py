@@ -56,6 +56,7 @@ from ffmap.algorithms.building.unseen_walls import (
     UnseenWallsSettings,
     find_unseen_walls,
     lines_along,
+    near_a_face,
 )
 from ffmap.algorithms.building.verdicts import (
     FaceVerdict,
@@ -155,7 +156,11 @@ def _find_faces(
     judged = _judge(aligned, scans, settings, NO_WINDOWS)
     windows = windows_of(_openings(judged.walls, scans, settings))
     lines = _lines(judged.walls, judged.refused, scans, settings)
-    glass = join_windows(windows.append(fronts_of(_openings(lines, scans, settings))))
+    fronts = fronts_of(_openings(lines, scans, settings))
+    # Nobody glazes a wall: a sheet so close before one is the edges of a shelf's boards.
+    middles, depth_m = fronts.ends.mean(axis=1), settings.unseen_walls.shelf_m
+    shelves = near_a_face(middles, fronts.normal, judged.walls, 0.0, depth_m)
+    glass = join_windows(windows.append(fronts.select(~shelves)))
     outside = seen_through(glass, planes)
     if outside.any():
         planes = select_planes(planes, ~outside)

@@ -102,7 +102,16 @@ class ParseSettings(StepSettings):
     change: float = Field(
         8.0, ge=0, description="Price (nats) of an edge between two stretches of a face."
     )
-    opening: float = Field(4.0, ge=0, description="Price (nats) of a doorway, a leaf or a window.")
+    opening: float = Field(
+        4.0, ge=0, description="Price (nats) of a window, or of a thing that ends low."
+    )
+    door: float = Field(
+        6.0, ge=0, description="Price (nats) of a door: where its foot is hidden it is a window."
+    )
+    low_sill: float = Field(4.0, ge=0, description="Price (nats) of a sill below the knee.")
+    knee_m: float = Field(
+        0.7, gt=0, description="Height (m) of usual sills above the floor: rays below pass doors."
+    )
     high_end: float = Field(
         8.0,
         ge=0,
@@ -253,6 +262,8 @@ def parse_face(
             _CHAIN,
             settings.blind,
             settings.high_end,
+            settings.low_sill,
+            settings.knee_m / CELL_M,
         ]
     )
     arrays = sums, top.astype(np.int64), hidden, driven.astype(np.bool_), *rules, prices
@@ -295,15 +306,16 @@ def _grammar(settings: ParseSettings) -> tuple[IntArray, IntArray, FloatArray]:
     sill = (cells_in(settings.window_sill_m[0]), cells_in(settings.window_sill_m[1]))
     high = (head[0], _CEILING - 1)
     window = (sill[0] + size, _CEILING - 1)
+    pane = (sill[1], _CEILING - 1)
     wide = (settings.window_size_m, all_m)
     table = {
-        Kind.DOORWAY: (anything, foot, head, width_m, settings.opening),
-        Kind.LEAF_RECESSED: (Material.LEAF_RECESSED, foot, head, width_m, settings.opening),
-        Kind.LEAF_DEEP: (Material.LEAF_DEEP, foot, head, width_m, settings.opening),
-        Kind.LEAF_FAR: (Material.LEAF_FAR, foot, head, width_m, settings.opening),
-        Kind.LEAF_BEFORE: (Material.LEAF_BEFORE, foot, head, width_m, 1.5 * settings.opening),
+        Kind.DOORWAY: (anything, foot, head, width_m, settings.door),
+        Kind.LEAF_RECESSED: (Material.LEAF_RECESSED, foot, head, width_m, settings.door),
+        Kind.LEAF_DEEP: (Material.LEAF_DEEP, foot, head, width_m, settings.door),
+        Kind.LEAF_FAR: (Material.LEAF_FAR, foot, head, width_m, settings.door),
+        Kind.LEAF_BEFORE: (Material.LEAF_BEFORE, foot, head, width_m, settings.door),
         Kind.WINDOW: (anything, sill, window, wide, settings.opening),
-        Kind.PANE: (anything, foot, high, wide, settings.pane),
+        Kind.PANE: (anything, foot, pane, wide, settings.pane),
         Kind.LOW: (air, (6, _CEILING - 1), ceiling, (0.15, all_m), settings.opening),
         Kind.HANGING: (air, foot, high, (0.15, all_m), settings.hanging),
     }
@@ -326,6 +338,8 @@ def _fit(
     no_lintel: float,
     blind: float,
     high_end: float,
+    low_sill: float,
+    knee: int,
     total: FloatArray,
     score: FloatArray,
     band: IntArray,
@@ -359,6 +373,8 @@ def _fit(
                 start = below[row, low] - below[row, middle]
                 if limits[k, 0] == limits[k, 1]:
                     start = 0.0
+                elif k == 5 and row < knee:
+                    start -= low_sill
                 if start > best:
                     best, sill = start, row
             if sill < 0 or to_ceiling:
@@ -404,7 +420,8 @@ def _parse(
 ) -> tuple[IntArray, FloatArray]:  # pragma: no cover
     """Stretches (n, 7): first, after, kind, sill, head, blind, second kind, and odds (n,)."""
     columns, rows, kinds = len(sums) - 1, sums.shape[1], 3 + len(materials)
-    change, open_end, no_lintel, chain, blind, high_end = prices
+    change, open_end, no_lintel, chain, blind, high_end, low_sill = prices[:7]
+    knee = round(prices[7])
     wall, gap, doorway, window, low, hanging = 0, 1, 3, 8, 10, 11
     value = np.full((columns + 1, kinds), -np.inf)
     begin, before = np.zeros((columns + 1, kinds), np.int64), np.full((columns + 1, kinds), -1)
@@ -429,7 +446,7 @@ def _parse(
             gain += most - solid
         against[c + 1] = against[c] + gain
     score, band = np.zeros(len(materials)), np.zeros((len(materials), 3), np.int64)
-    rules = materials, limits, kind_prices, no_lintel, blind, high_end
+    rules = materials, limits, kind_prices, no_lintel, blind, high_end, low_sill, knee
     total = np.zeros(sums.shape[2])
     for j in range(1, columns + 1):
         for k in range(3):

@@ -8,7 +8,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import moved
-from ffmap.algorithms.building.evidence import BEYOND, FOOT_ROW, ON, RECESS, Evidence
+from ffmap.algorithms.building.evidence import BEYOND, FAR, FOOT_ROW, ON, RECESS, Evidence
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -42,8 +42,8 @@ _PATCH = 4
 _PATCH_RAYS_MIN = 15
 """Least rays into a patch for a pane to show: glass returns every tenth, at a slant fewer."""
 _PANE_PATCHES_MIN, _PANE_SHARE_MAX = 0.9, 0.5
-_FRONT_MIN_M = 0.5
-"""Least width (m) of a pane in no wall."""
+_FRONT_MIN_M, _PURITY_MIN = 0.5, 0.7
+"""Least width (m) of a pane in no wall, and share of what returns near that it returned."""
 _AJAR_M = 0.1
 """Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
 _JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
@@ -132,12 +132,14 @@ class Sheet:
     """What closes an opening, if anything does: the depth that most of what returns has.
 
     behind_m: that depth (m). share: of the rays that came in, those that ended there. patches:
-    share of an opening's patches, of those that rays met, that returned any from there.
+    share of an opening's patches, of those that rays met, that returned any from there. purity: of
+    the rays that ended within a wall's depth, those that ended there.
     """
 
     behind_m: float
     share: float
     patches: float
+    purity: float
 
 
 def find_sheet(ended: FloatArray, depth_sum: FloatArray) -> Sheet | None:
@@ -163,7 +165,9 @@ def find_sheet(ended: FloatArray, depth_sum: FloatArray) -> Sheet | None:
     rays, shown = _by_patch(came), _by_patch(returned)
     asked = rays >= _PATCH_RAYS_MIN
     patches = float((shown[asked] > 0).mean()) if 2 * asked.sum() >= asked.size else 0.0
-    return Sheet(behind_m, float(returned.sum() / max(came.sum(), 1.0)), patches)
+    near = float(layers[..., : FAR - ON].sum())
+    share, purity = (float(returned.sum() / max(of, 1.0)) for of in (came.sum(), near))
+    return Sheet(behind_m, share, patches, purity)
 
 
 def _by_patch(cells: FloatArray) -> FloatArray:
@@ -311,9 +315,12 @@ def windows_of(openings: Openings) -> Windows:
 
 def fronts_of(openings: Openings) -> Windows:
     """The panes among openings of lines that no wall explains, each in its own line."""
-    wide = [own.width_m >= _FRONT_MIN_M for own in openings.stretch]
-    glass = [_is_glass(sheet) for sheet in openings.sheet]
-    chosen = np.flatnonzero(np.array(wide, bool) & np.array(glass, bool))
+    chosen = [
+        k
+        for k, (own, sheet) in enumerate(zip(openings.stretch, openings.sheet, strict=True))
+        if own.width_m >= _FRONT_MIN_M and _is_glass(sheet)
+        if sheet is not None and sheet.purity >= _PURITY_MIN
+    ]
     pane_m = np.array([_pane_m(openings.sheet[k]) for k in chosen])
     ends, normal = openings.faces.ends[chosen], openings.faces.normal[chosen]
     return Windows(

@@ -19,7 +19,7 @@ from ffmap.algorithms.base.segments import segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.evidence import ON
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, cells_in
-from ffmap.algorithms.building.parse import OF_WALLS, Kind
+from ffmap.algorithms.building.parse import DOORS, OF_WALLS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, has_jambs, standing
 from ffmap.algorithms.building.storey import CEILING_NEAR_M, Storey
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY, wall_directions
@@ -45,6 +45,9 @@ class UnseenWallsSettings(StepSettings):
     )
     faced_m: float = Field(
         0.5, gt=0, description="Between two faces that look at each other nobody stands: no nearer."
+    )
+    shelf_m: float = Field(
+        0.6, gt=0, description="Maximum depth (m) of shelves, whose boards' edges seem a pane."
     )
     chord_m: float = Field(
         0.35, gt=0, description="Minimum length (m) of a chord of a round wall."
@@ -109,8 +112,8 @@ def _new(lines: list[Line], known: Walls, settings: UnseenWallsSettings) -> Wall
         return NO_WALLS
     both = both_sides(lines)
     middles = both.ends.mean(axis=1)
-    faced = _near_a_face(middles, -both.normal, known, 0.0, settings.faced_m)
-    beside = _near_a_face(middles, both.normal, known, -settings.beside_m, settings.beside_m)
+    faced = near_a_face(middles, -both.normal, known, 0.0, settings.faced_m)
+    beside = near_a_face(middles, both.normal, known, -settings.beside_m, settings.beside_m)
     return both.select(~faced & ~beside)
 
 
@@ -127,7 +130,8 @@ def _walls_of(
         own = [s for s in stretches if first <= s.first < after and s.kind in OF_WALLS]
         on = sum(float(ended[s.columns, :, ON].sum()) for s in own if s.kind == Kind.WALL)
         shows = sum(s.odds for s in own) >= settings.odds_min and on >= settings.returns_min
-        is_free = seen[first:after].mean() > 0.5
+        open_columns = sum(s.after - s.first for s in own if s.kind in DOORS)
+        is_free = seen[first:after].mean() > 0.5 and 2 * open_columns < after - first
         if shows and is_free and has_jambs(stretches, first, after, ended):
             found.append((w, first, after))
     cut = faces.cut(found)
@@ -262,7 +266,7 @@ def lines_of_any_direction(place: FloatArray, settings: UnseenWallsSettings) -> 
     return found
 
 
-def _near_a_face(
+def near_a_face(
     places: FloatArray, normals: FloatArray, walls: Walls, above_m: float, below_m: float
 ) -> BoolArray:
     """(k,) whether each place (k, 2) is so far before a face that looks as its normal (k, 2)."""
