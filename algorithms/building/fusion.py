@@ -43,6 +43,7 @@ from ffmap.algorithms.building.settle import (
     fronts_of,
     glazed_doors_of,
     judge,
+    mostly_stands,
     windows_of,
 )
 from ffmap.algorithms.building.storey import TracedFaces, room_before
@@ -206,6 +207,8 @@ def _add_unseen_walls(
         settings.unseen_walls,
     )
     found = found.select(room_before(found, scans.storey))
+    # What only rays without windows show, and others pass, a pane mirrored.
+    found = found.select(mostly_stands(_parsed(_traced(found, scans, NO_WINDOWS), scans, settings)))
     return join_corners(judged.walls.append(found), settings.standing_walls)
 
 

@@ -120,6 +120,16 @@ def standing(stretches: list[Stretch], gap: int) -> Iterator[tuple[int, int]]:
         yield first, after
 
 
+def mostly_stands(parsed: ParsedFaces) -> BoolArray:
+    """(W,) which faces are wall with openings, or hidden, over most of their length."""
+    found = np.zeros(len(parsed.stretches), bool)
+    for w, stretches in enumerate(parsed.stretches):
+        columns = [(s.after - s.first, s.kind in (*OF_WALLS, Kind.HIDDEN)) for s in stretches]
+        standing_columns = sum(count for count, stands in columns if stands)
+        found[w] = 2 * standing_columns > sum(count for count, _ in columns)
+    return found
+
+
 def has_jambs(stretches: list[Stretch], first: int, after: int, ended: FloatArray) -> bool:
     """Whether enough of some columns of a face is wall that rays end on, down to the floor."""
     walls = [s for s in stretches if first <= s.first < after and s.kind == Kind.WALL]
