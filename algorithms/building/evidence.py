@@ -240,6 +240,10 @@ def _trace(
                     side = nx * x0 + ny * y0 - offset
                 if reach < 0.1 or side > layers_m[BEFORE]:
                     continue
+                # What ended within an opening came in through it, not through the one beside.
+                beside = place < 0.0 or place >= CELL_M * (first[w + 1] - first[w])
+                if at_ends and side < 0.0 and beside:
+                    continue
                 layer = BEYOND
                 # Floor and ceiling behind an opening are none of what closes it.
                 level = label[r] == Label.FLOOR or label[r] == Label.CEILING
