@@ -251,7 +251,9 @@ def _openings(faces: Walls, scans: AllScans, settings: FusionSettings) -> Openin
 
 
 def _parsed(faces: TracedFaces, scans: AllScans, settings: FusionSettings) -> ParsedFaces:
-    return ParsedFaces.of(faces, scans.path_map, settings.standing_walls.robot_m, settings.parse)
+    robot_m = settings.standing_walls.robot_m
+    parsed = ParsedFaces.of(faces, scans.path_map, robot_m, settings.parse)
+    return parsed.with_panes_told(scans.trace_within)
 
 
 def _traced(faces: Walls, scans: AllScans, windows: Windows) -> TracedFaces:

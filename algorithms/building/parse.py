@@ -28,11 +28,14 @@ class Material(IntEnum):
     LEAF_RECESSED = 2
     LEAF_DEEP = 3
     LEAF_FAR = 4
-    LEAF_BEFORE = 5
-    ANYTHING = 6
+    ANYTHING = 5
     """What lies behind an opening, whatever it is."""
-    SET_BACK = 7
+    SET_BACK = 6
     """What closes an opening behind the face: a blind, a leaf."""
+    BEHIND = 7
+    """What is no part of this face, however far behind."""
+    AWAY = 8
+    """What is no part of this wall: air, and what stands behind it at more than a leaf's depth."""
 
 
 SHARES = np.array(
@@ -53,8 +56,6 @@ _RAY_M, _FACE_M = 0.015, 0.006
 """Standard deviation (m) of one return, and of a cell's mean however many returns it has."""
 _LEAF_LESS = np.array([0.8, 0.3, 0.3])
 """How much less likely (nats) a leaf is than air where nothing is known of an opening."""
-_BEFORE_SHARES = 0.9, 0.04
-"""Share of rays that end on a leaf before the face, and that pass it."""
 
 
 class Kind(IntEnum):
@@ -69,16 +70,15 @@ class Kind(IntEnum):
     LEAF_RECESSED = 4
     LEAF_DEEP = 5
     LEAF_FAR = 6
-    LEAF_BEFORE = 7
-    WINDOW = 8
-    PANE = 9
-    LOW = 10
+    WINDOW = 7
+    PANE = 8
+    LOW = 9
     """Something ends below the ceiling: a cupboard, a parapet."""
-    HANGING = 11
+    HANGING = 10
     """Something hangs from the ceiling: a duct, a beam."""
 
 
-DOORS = Kind.DOORWAY, Kind.LEAF_RECESSED, Kind.LEAF_DEEP, Kind.LEAF_FAR, Kind.LEAF_BEFORE
+DOORS = Kind.DOORWAY, Kind.LEAF_RECESSED, Kind.LEAF_DEEP, Kind.LEAF_FAR
 OPENINGS = (*DOORS, Kind.WINDOW, Kind.PANE)
 OF_WALLS = (Kind.WALL, *OPENINGS)
 """What a wall consists of."""
@@ -120,7 +120,9 @@ class ParseSettings(StepSettings):
     blind: float = Field(
         8.0, ge=0, description="Price (nats) of something that hangs in a window and closes it."
     )
-    pane: float = Field(12.0, ge=0, description="Price (nats) of a pane down to the floor.")
+    pane: float = Field(
+        12.0, ge=0, description="Price (nats) of glass down to the floor, or up to the ceiling."
+    )
     hanging: float = Field(
         40.0, ge=0, description="Price (nats) of what hangs: a doorway's lintel hangs as well."
     )
@@ -183,7 +185,7 @@ class Stretch:
 def material_odds(
     ended: FloatArray, depth_sum: FloatArray, top: IntArray, settings: ParseSettings
 ) -> FloatArray:
-    """Log odds (c, rows, 8) of each cell for each material, against the likeliest of all.
+    """Log odds (c, rows, 9) of each cell for each material, against the likeliest of all.
 
     Where rays end tells materials apart but for what is recessed by centimetres: that the mean
     depth of a cell's returns tells, which is known better than any single one.
@@ -193,7 +195,7 @@ def material_odds(
     """
     near = ended[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64)
     behind = np.concatenate([near[..., None], ended[..., DEEP:]], axis=-1).astype(np.float64)
-    before, count = ended[..., BEFORE].astype(np.float64), behind.sum(axis=-1)
+    count = behind.sum(axis=-1)
     weight = settings.rays_full / (count + settings.rays_full)
     likely = (behind @ np.log(SHARES).T) * weight[..., None]
     recess = _recess_odds(near, depth_sum[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64))
@@ -202,20 +204,16 @@ def material_odds(
     likely[..., Material.SOLID] -= np.maximum(recess, 0.0)
     likely -= likely.max(axis=-1, keepdims=True)
     odds = np.maximum(likely, -settings.odds_max)
-    on_leaf, past_leaf = np.log(_BEFORE_SHARES)
-    # A leaf before the face hides the wall: its own rays tell nothing against that.
-    leaf = np.maximum(count * past_leaf * weight, -settings.odds_max)
-    leaf = np.minimum(leaf - 3.0 * on_leaf * np.minimum(before, 3.0), 0.0)
     anything = np.maximum(odds[..., Material.AIR], (odds[..., 2:5] - _LEAF_LESS).max(axis=-1))
     rows = np.arange(ended.shape[1])
     asked = (rows >= FOOT_ROW) & (rows < top[:, None])
     seen = asked & (count > 0)
     set_back = odds[..., Material.LEAF_RECESSED : Material.LEAF_FAR].max(axis=-1)
-    more = [layer[..., None] for layer in (leaf, anything, set_back)]
+    no_part = odds[..., Material.AIR :].max(axis=-1)
+    away = np.maximum(odds[..., Material.AIR], odds[..., Material.LEAF_FAR])
+    more = [layer[..., None] for layer in (anything, set_back, no_part, away)]
     all_odds = np.concatenate([odds, *more], axis=-1)
-    all_odds *= seen[..., None]
-    all_odds[..., Material.LEAF_BEFORE] = np.where(asked, leaf, 0.0)
-    return all_odds / settings.cells_together
+    return np.asarray(all_odds * seen[..., None] / settings.cells_together)
 
 
 def _recess_odds(count: FloatArray, depth_sum: FloatArray) -> FloatArray:
@@ -263,6 +261,7 @@ def parse_face(
             settings.blind,
             settings.high_end,
             settings.low_sill,
+            settings.pane,
             settings.knee_m / CELL_M,
         ]
     )
@@ -299,7 +298,7 @@ def _grammar(settings: ParseSettings) -> tuple[IntArray, IntArray, FloatArray]:
 
     Limits: lowest and highest sill and head (rows), least and greatest width (columns).
     """
-    solid, air, anything = Material.SOLID, Material.AIR, Material.ANYTHING
+    solid, away, anything = Material.SOLID, Material.AWAY, Material.ANYTHING
     foot, ceiling, all_m = (FOOT_ROW, FOOT_ROW), (_CEILING, _CEILING), _STRETCH_MAX * CELL_M
     width_m, size = settings.door_width_m, cells_in(settings.window_size_m)
     head = (cells_in(settings.door_head_m[0]), cells_in(settings.door_head_m[1]))
@@ -313,11 +312,10 @@ def _grammar(settings: ParseSettings) -> tuple[IntArray, IntArray, FloatArray]:
         Kind.LEAF_RECESSED: (Material.LEAF_RECESSED, foot, head, width_m, settings.door),
         Kind.LEAF_DEEP: (Material.LEAF_DEEP, foot, head, width_m, settings.door),
         Kind.LEAF_FAR: (Material.LEAF_FAR, foot, head, width_m, settings.door),
-        Kind.LEAF_BEFORE: (Material.LEAF_BEFORE, foot, head, width_m, settings.door),
         Kind.WINDOW: (anything, sill, window, wide, settings.opening),
         Kind.PANE: (anything, foot, pane, wide, settings.pane),
-        Kind.LOW: (air, (6, _CEILING - 1), ceiling, (0.15, all_m), settings.opening),
-        Kind.HANGING: (air, foot, high, (0.15, all_m), settings.hanging),
+        Kind.LOW: (away, (6, _CEILING - 1), ceiling, (0.15, all_m), settings.opening),
+        Kind.HANGING: (away, foot, high, (0.15, all_m), settings.hanging),
     }
     materials = np.array([[solid, middle, solid] for middle, *_ in table.values()], np.int64)
     limits = np.array(
@@ -339,6 +337,7 @@ def _fit(
     blind: float,
     high_end: float,
     low_sill: float,
+    glass_to_ceiling: float,
     knee: int,
     total: FloatArray,
     score: FloatArray,
@@ -373,30 +372,30 @@ def _fit(
                 start = below[row, low] - below[row, middle]
                 if limits[k, 0] == limits[k, 1]:
                     start = 0.0
-                elif k == 5 and row < knee:
+                elif k == 4 and row < knee:
                     start -= low_sill
                 if start > best:
                     best, sill = start, row
             if sill < 0 or to_ceiling:
                 continue
-            if k == 5:  # a window
-                start = best + below[row, middle] - below[row, 7] - blind
+            if k == 4:  # a window
+                start = best + below[row, middle] - below[row, 6] - blind
                 # What hangs is higher than a frame, and than what the lintel's underside returns.
                 if start > closed and row <= top - 4:
                     closed, closed_from, closed_sill = start, row, sill
             if row < limits[k, 2] or row > limits[k, 3] or row < sill + 6:
                 continue
             value = best + below[row, middle] + total[high] - below[row, high]
-            with_blind = closed + below[row, 7] + total[high] - below[row, high]
+            with_blind = closed + below[row, 6] + total[high] - below[row, high]
             if row >= closed_from + 4 and with_blind > max(value, score[k]):
                 score[k] = with_blind
                 band[k, 0], band[k, 1], band[k, 2] = closed_sill, row, closed_from
                 continue
-            if k < 5:  # doors
-                lintel = (total[high] - below[row, high]) - (total[6] - below[row, 6])
+            if k < 5:  # doors and windows
+                lintel = (total[high] - below[row, high]) - (total[5] - below[row, 5])
                 if row > top - 3 or lintel < 0.3 * columns:
-                    value -= no_lintel
-            elif k == 8 and row > top - 2:  # hanging down from nothing
+                    value -= no_lintel if k < 4 else glass_to_ceiling
+            elif k == 7 and row > top - 2:  # hanging down from nothing
                 continue
             if value > score[k]:
                 score[k], band[k, 0], band[k, 1], band[k, 2] = value, sill, row, row
@@ -420,9 +419,9 @@ def _parse(
 ) -> tuple[IntArray, FloatArray]:  # pragma: no cover
     """Stretches (n, 7): first, after, kind, sill, head, blind, second kind, and odds (n,)."""
     columns, rows, kinds = len(sums) - 1, sums.shape[1], 3 + len(materials)
-    change, open_end, no_lintel, chain, blind, high_end, low_sill = prices[:7]
-    knee = round(prices[7])
-    wall, gap, doorway, window, low, hanging = 0, 1, 3, 8, 10, 11
+    change, open_end, no_lintel, chain, blind, high_end, low_sill, to_ceiling = prices[:8]
+    knee = round(prices[8])
+    wall, gap, doorway, window, low, hanging = 0, 1, 3, 7, 9, 10
     value = np.full((columns + 1, kinds), -np.inf)
     begin, before = np.zeros((columns + 1, kinds), np.int64), np.full((columns + 1, kinds), -1)
     bands = np.zeros((columns + 1, kinds, 3), np.int64)
@@ -446,7 +445,7 @@ def _parse(
             gain += most - solid
         against[c + 1] = against[c] + gain
     score, band = np.zeros(len(materials)), np.zeros((len(materials), 3), np.int64)
-    rules = materials, limits, kind_prices, no_lintel, blind, high_end, low_sill, knee
+    rules = materials, limits, kind_prices, no_lintel, blind, high_end, low_sill, to_ceiling, knee
     total = np.zeros(sums.shape[2])
     for j in range(1, columns + 1):
         for k in range(3):
@@ -454,7 +453,7 @@ def _parse(
             if k == wall:
                 own = whole[j, 0] - whole[j - 1, 0] - (1e6 if driven[j - 1] else 0.0)
             elif k == gap:
-                own = whole[j, 6] - whole[j - 1, 6]
+                own = whole[j, 7] - whole[j - 1, 7]
             stay = value[j - 1, k]
             since = best[j - 1] if k == wall else closed[j - 1]
             enter = since - (0.0 if j == 1 else change)
@@ -505,7 +504,7 @@ def _parse(
         for c in range(i, j):
             limit = min(limit, top[c])
         _fit(sums, i, j, limit, *rules, total, score, band)
-        simple = np.array([total[0], total[6], hidden[i:j].sum()])
+        simple = np.array([total[0], total[7], hidden[i:j].sum()])
         own = simple[k] if k < doorway else score[k - 3]
         most, second = -np.inf, wall
         for other in range(kinds):

@@ -1,6 +1,6 @@
 """What stands of the parsed faces: walls, with their doors and windows, and what is no wall."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -70,6 +70,25 @@ class ParsedFaces:
             evidence = faces.evidence.ended[own], faces.evidence.depth_sum[own]
             found.append(parse_face(*evidence, top[own], driven[own], settings))
         return cls(faces, tuple(found))
+
+    def with_panes_told(self, trace_within: Callable[[Walls], Evidence]) -> "ParsedFaces":
+        """Openings down to the floor that no door is as wide as, or as high: panes, or what hangs.
+
+        trace_within: books rays where they ended, see `AllScans`.
+        """
+        found = [list(stretches) for stretches in self.stretches]
+        panes = [
+            (w, k) for w, own in enumerate(found) for k, s in enumerate(own) if s.kind == Kind.PANE
+        ]
+        faces = self.faces.cut([(w, found[w][k].first, found[w][k].after) for w, k in panes])
+        sheets = _sheets([found[w][k] for w, k in panes], trace_within(faces))
+        for (w, k), sheet in zip(panes, sheets, strict=True):
+            if not _is_glass(sheet):
+                own = found[w][k]
+                top_row = (self.faces.top_m[self.faces.columns(w)][own.columns]).min() / CELL_M
+                hangs = own.head < top_row - 2.0 * CEILING_MARGIN_M / CELL_M
+                found[w][k] = replace(own, kind=Kind.HANGING if hangs else Kind.GAP)
+        return ParsedFaces(self.faces, tuple(found))
 
 
 def judge(
@@ -215,13 +234,18 @@ def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
     ]
     faces = parsed.faces.cut([(w, own.first, own.after) for w, own in found])
     evidence = trace_within(faces)
-    sheets = []
-    for k, (_, own) in enumerate(found):
-        columns, inner = evidence.columns(k), _within(own)
-        inside = evidence.ended[columns][inner], evidence.depth_sum[columns][inner]
-        sheets.append(find_sheet(*inside))
     walls, stretches = tuple(w for w, _ in found), tuple(own for _, own in found)
+    sheets = _sheets(stretches, evidence)
     return Openings(walls, stretches, faces, evidence, tuple(sheets))
+
+
+def _sheets(stretches: Sequence[Stretch], evidence: Evidence) -> list[Sheet | None]:
+    """What closes each of some openings, each a face of its own."""
+    sheets = []
+    for k, own in enumerate(stretches):
+        columns, inner = evidence.columns(k), _within(own)
+        sheets.append(find_sheet(evidence.ended[columns][inner], evidence.depth_sum[columns][inner]))
+    return sheets
 
 
 def _within(own: Stretch) -> tuple[slice, slice]:
@@ -267,11 +291,9 @@ def _door(openings: Openings, k: int, settings: BuildingSettings) -> Doors:
     rays = ended[inner][..., ON:].sum(axis=(1, 2))
     lintel = ended[:, own.head :, ON].sum(axis=1) > 0
     is_leaf = sheet is not None and sheet.share >= _LEAF_SHARE_MIN
-    ajar = own.kind != Kind.LEAF_BEFORE and _is_ajar(ended[inner], depth_sum[inner])
+    ajar = _is_ajar(ended[inner], depth_sum[inner])
     behind_m, share = float("nan"), 1.0 - (sheet.share if sheet is not None else 0.0)
-    if own.kind == Kind.LEAF_BEFORE:
-        behind_m, share = -0.05, 1.0
-    elif sheet is not None and is_leaf and not ajar:
+    if sheet is not None and is_leaf and not ajar:
         behind_m, share = sheet.behind_m, sheet.share
     return one_door(
         ends=openings.faces.ends[k],
