@@ -161,18 +161,12 @@ def assert_covers(stretches: list[Stretch], columns: int) -> None:
 
 
 WALL, DOORWAY, WINDOW = Kind.WALL, Kind.DOORWAY, Kind.WINDOW
-LEAF_KINDS = Kind.LEAF_RECESSED, Kind.LEAF_DEEP, Kind.LEAF_FAR, Kind.LEAF_BEFORE
-_NEVER_BEFORE = (
-    "what passes a leaf is a wall's or a doorway's at least as likely, for a lower price"
-)
+LEAF_KINDS = Kind.LEAF_RECESSED, Kind.LEAF_DEEP, Kind.LEAF_FAR
 LEAVES = (
     (RECESSED, Kind.LEAF_RECESSED),
     (DEEPER, Kind.LEAF_RECESSED),
     (DEEP, Kind.LEAF_DEEP),
     (FAR, Kind.LEAF_FAR),
-    pytest.param(
-        BEFORE, Kind.LEAF_BEFORE, marks=pytest.mark.xfail(strict=True, reason=_NEVER_BEFORE)
-    ),
 )
 
 
@@ -234,16 +228,13 @@ def test_a_pane_from_the_floor_is_wider_than_doors_are(head: int) -> None:
     assert abs(stretches[1].head - head) <= 1
 
 
-_TO_CEILING = pytest.mark.xfail(strict=True, reason="a window up to the ceiling explains it too")
-
-
 @pytest.mark.parametrize(
     ("height", "behind"),
     [
-        pytest.param(16, AIR, marks=_TO_CEILING),
-        pytest.param(30, AIR, marks=_TO_CEILING),
-        pytest.param(30, FAR, marks=_TO_CEILING),
-        pytest.param(40, FAR, marks=_TO_CEILING),
+        (16, AIR),
+        (30, AIR),
+        (30, FAR),
+        (40, FAR),
         (16, EMPTY),
         (30, EMPTY),
         (40, EMPTY),
@@ -263,17 +254,6 @@ def test_a_face_that_is_low_all_along_is_no_wall() -> None:
         assert own.kind == Kind.LOW
 
 
-@pytest.mark.xfail(strict=True, reason="a pane from the floor costs less and explains as much")
-@pytest.mark.parametrize("columns", [70, 150])
-def test_a_duct_hangs_where_it_is_open_below_over_more_than_a_door(columns: int) -> None:
-    wide = Patch(AIR, 10, 10 + columns, 0, 44)
-    stretches = draw(wide, columns=columns + 20).parse()
-    hanging = only(stretches, Kind.HANGING)
-    assert set(kinds_of(stretches)) == {WALL, Kind.HANGING}
-    assert_spans(replace(hanging[0], after=hanging[-1].after), 10, 10 + columns)
-    assert all(abs(own.head - 44) <= 1 for own in hanging)
-
-
 def test_a_duct_hangs_where_the_robot_drove_below_it() -> None:
     for first, after in ((10, 80), (0, 79)):
         wide = Patch(AIR, first, after, 0, 44)
@@ -284,11 +264,7 @@ def test_a_duct_hangs_where_the_robot_drove_below_it() -> None:
         assert abs(own.head - 44) <= 1
 
 
-_AS_LEAVES = pytest.mark.xfail(strict=True, reason="a leaf without a lintel costs less than a gap")
-_BEHIND = [AIR, EMPTY, *(pytest.param(m, marks=_AS_LEAVES) for m in (RECESSED, DEEPER, DEEP, FAR))]
-
-
-@pytest.mark.parametrize("behind", _BEHIND)
+@pytest.mark.parametrize("behind", [AIR, EMPTY, RECESSED, DEEPER, DEEP, FAR])
 @pytest.mark.parametrize("at_start", [False, True])
 def test_a_face_ends_where_rays_pass_up_to_the_ceiling(at_start: bool, behind: Mixture) -> None:
     face = draw(Patch(behind, 55, COLUMNS))
@@ -298,11 +274,12 @@ def test_a_face_ends_where_rays_pass_up_to_the_ceiling(at_start: bool, behind: M
     assert abs(wall.after - wall.first - 55) <= 1
 
 
-def test_few_rays_that_contradict_each_other_hide_a_face() -> None:
+def test_few_rays_that_contradict_each_other_are_no_wall() -> None:
     wall, mixed = draw(rays=3), draw(Patch(AIR, 30, 50), rays=3)
     either = np.random.default_rng(1).random((COLUMNS, ROWS)) < 0.5
     stretches = wall.where(either).add(mixed.where(~either)).parse()
-    assert kinds_of(stretches) == [WALL, Kind.HIDDEN, WALL]
+    assert kinds_of(stretches)[1] in (Kind.HIDDEN, Kind.GAP)
+    assert kinds_of(stretches)[::2] == [WALL, WALL]
     assert_spans(stretches[1], 30, 50)
 
 
@@ -516,7 +493,6 @@ def test_cells_are_likeliest_of_what_they_were_drawn_of(material: Mixture, wante
         assert odds[Material.ANYTHING] > -0.8 / SETTINGS.cells_together - 1e-9
     else:
         assert odds[Material.ANYTHING] < -0.5
-    assert odds[Material.LEAF_BEFORE] < -0.5  # all of them pass what would hang there
 
 
 def test_the_mean_depth_tells_what_is_recessed() -> None:
@@ -526,16 +502,12 @@ def test_the_mean_depth_tells_what_is_recessed() -> None:
         assert recessed == (behind_m > 0.012), behind_m
 
 
-def test_what_ends_before_the_face_says_a_leaf_and_nothing_of_the_wall() -> None:
+def test_what_ends_before_the_face_says_nothing_of_the_wall() -> None:
     face = draw(Patch(((1.0, 0.07, 0.07),), 0, 9), columns=9, noise_m=0.0)
-    odds = face.odds()
     assert not face.ended[..., ON:].any()
-    assert not odds.any()
+    assert not face.odds().any()
     wall = draw(columns=9)
-    hidden = wall.add(face).odds()
-    before = [Material.LEAF_BEFORE]
-    np.testing.assert_allclose(np.delete(hidden, before, 2), np.delete(wall.odds(), before, 2))
-    assert (hidden[..., before] >= wall.odds()[..., before]).all()
+    np.testing.assert_allclose(wall.add(face).odds(), wall.odds())
 
 
 def test_cells_that_nobody_saw_say_nothing() -> None:
