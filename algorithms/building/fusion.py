@@ -99,10 +99,12 @@ class Building:
     """All that is made of all scans together.
 
     model: what scans are labelled by. halo: the same, kept apart because it is large. aligned: the
-    faces before any was judged. thickness_m: (W,) of the walls.
+    faces before any was judged. parsed: the walls but for low ones, with what rays found of them.
+    thickness_m: (W,) of the walls.
     """
 
     model: BuildingModel
+    parsed: ParsedFaces
     halo: Halo
     aligned: AlignedFaces
     thickness_m: FloatArray
@@ -117,7 +119,8 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     walls = _add_unseen_walls(judged, glass, scans, settings)
     fronts = glass.select(~is_in_wall(glass, walls))
     faces = _traced(walls, scans, NO_WINDOWS)
-    seen = find_openings(_parsed(faces, scans, settings), scans.trace_within)
+    parsed = _parsed(faces, scans, settings)
+    seen = find_openings(parsed, scans.trace_within)
     windows = join_windows(windows_of(seen).append(fronts))
     doors = _find_doors(walls, seen, windows, scans, settings)
     foreground = find_foreground(faces, doors, settings.foreground)
@@ -142,7 +145,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
         leaf_panes=windows.select(is_leaf),
         low_walls=low,
     )
-    return Building(model, halo, aligned, thickness_m)
+    return Building(model, parsed, halo, aligned, thickness_m)
 
 
 def _find_faces(

@@ -211,11 +211,13 @@ def _by_patch(cells: FloatArray) -> FloatArray:
 class Openings:
     """Stretches of faces that rays pass or that end behind the face, with what closes them.
 
-    wall: (n,) the face of each. ends: as faces of their own.
+    wall: (n,) the face of each. faces: each as a face of its own, evidence: where rays ended there.
+    met: for each, (c,) the rays that crossed its columns.
     """
 
     wall: tuple[int, ...]
     stretch: tuple[Stretch, ...]
+    met: tuple[FloatArray, ...]
     faces: Walls
     evidence: Evidence
     sheet: tuple[Sheet | None, ...]
@@ -236,7 +238,11 @@ def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
     evidence = trace_within(faces)
     walls, stretches = tuple(w for w, _ in found), tuple(own for _, own in found)
     sheets = _sheets(stretches, evidence)
-    return Openings(walls, stretches, faces, evidence, tuple(sheets))
+    met = []
+    for w, own in found:
+        ended = parsed.faces.evidence.ended[parsed.faces.columns(w)][own.columns]
+        met.append(ended[:, own.sill : own.head, ON:].sum(axis=(1, 2)))
+    return Openings(walls, stretches, tuple(met), faces, evidence, tuple(sheets))
 
 
 def _sheets(stretches: Sequence[Stretch], evidence: Evidence) -> list[Sheet | None]:
@@ -288,7 +294,7 @@ def _door(openings: Openings, k: int, settings: BuildingSettings) -> Doors:
     columns = openings.evidence.columns(k)
     ended = openings.evidence.ended[columns]
     depth_sum = openings.evidence.depth_sum[columns]
-    rays = ended[inner][..., ON:].sum(axis=(1, 2))
+    rays = openings.met[k]
     lintel = ended[:, own.head :, ON].sum(axis=1) > 0
     is_leaf = sheet is not None and sheet.share >= _LEAF_SHARE_MIN
     ajar = _is_ajar(ended[inner], depth_sum[inner])

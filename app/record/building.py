@@ -14,6 +14,8 @@ from ffmap.algorithms.building.face_foreground import covered_places
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.heights import HeightMap
 from ffmap.algorithms.building.model import CELL_M, Doors
+from ffmap.algorithms.building.parse import Kind
+from ffmap.algorithms.building.settle import ParsedFaces
 from ffmap.algorithms.building.verdicts import JudgedFaces
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
@@ -85,6 +87,37 @@ def _log_walls(log: Log, building: BuildingModel) -> None:
             show_labels=False,
         )
         log.static("/world/building/against_walls", points)
+
+
+def log_stretches(log: Log, parsed: ParsedFaces) -> None:
+    """Log what each stretch of a wall face is, and by what odds."""
+    rows = [(w, own) for w, stretches in enumerate(parsed.stretches) for own in stretches]
+    if not rows:
+        return
+    faces = parsed.faces
+    ends = faces.cut([(w, own.first, own.after) for w, own in rows]).ends
+    top_m = [float(faces.top_m[faces.columns(w)][own.columns].min()) for w, own in rows]
+    bottom_m, head_m = CELL_M * np.array([(own.sill, own.head) for _, own in rows]).T
+    frames = upright_frames(ends, bottom_m, np.where(head_m > 0.0, head_m, top_m))
+    labels = [
+        f"{_words(own.kind)}, {own.width_m:.2f} m: odds {own.odds:.0f} nats against "
+        f"{_words(own.second)}"
+        for _, own in rows
+    ]
+    log.static(
+        "/world/building/stretches",
+        strips(frames, _FUSED_COLOR, 1.0, labels, show_labels=False),
+        evidence(
+            wall=np.array([w for w, _ in rows]),
+            kind=np.array([own.kind for _, own in rows]),
+            second=np.array([own.second for _, own in rows]),
+            odds=np.array([own.odds for _, own in rows]),
+        ),
+    )
+
+
+def _words(kind: Kind) -> str:
+    return kind.name.lower().replace("_", " ")
 
 
 def _log_refused(log: Log, judged: JudgedFaces) -> None:

@@ -11,7 +11,7 @@ from ffmap.app.record.tables import fields_table, table
 REFUSALS: dict[int, str] = {
     FaceVerdict.ENDS_LOW: "rays pass above it, below the ceiling (a leaf, a cupboard)",
     FaceVerdict.HANGS: "it is open below over more than a doorway (a duct, a beam)",
-    FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, and it shows no wall "
+    FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, it shows no wall "
     "up to the ceiling (a side of furniture)",
     FaceVerdict.LEANS: "it crosses a face that far more scans saw, askew (an open leaf)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (a house across the street)",
