@@ -65,7 +65,6 @@ from ffmap.algorithms.building.glass_fronts import (
     set_in_walls,
 )
 from ffmap.algorithms.building.glazed_doors import find_glazed_doors, panes_of_open_leaves
-from ffmap.algorithms.building.halo import Halo, HaloSettings, find_halo, halo_at_walls
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings, find_low_walls, without_low_walls
 from ffmap.algorithms.building.missed_walls import (
@@ -135,7 +134,6 @@ class FusionSettings:
     door_outlines: DoorOutlinesSettings
     door_frames: DoorFramesSettings
     wall_thickness: WallThicknessSettings
-    halo: HaloSettings
     relabelling: RelabellingSettings
 
     @property
@@ -154,12 +152,11 @@ class FusionSettings:
 class Building:
     """All that is made of all scans together.
 
-    model: what scans are labelled by. halo: the same, kept apart because it is large. aligned: the faces before any was judged, and
-    those found of all scans' returns together. thickness_m: (W,) of the walls.
+    model: what scans are labelled by. aligned: the faces before any was judged, and those found of all scans' returns together.
+    thickness_m: (W,) of the walls.
     """
 
     model: BuildingModel
-    halo: Halo
     aligned: AlignedFaces
     thickness_m: FloatArray
 
@@ -176,13 +173,11 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     judged = replace(judged, refused=judged.refused.select(is_refused), verdict=judged.verdict[is_refused])
     walls, foreground = walls.append(low), foreground.append(bare_foreground(low, scans.storey))
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
-    halo = find_halo(scans.votes, settings.halo)
-    halo = halo_at_walls(halo, walls, doors, foreground, scans.storey, settings.halo)
     is_leaf = panes_of_open_leaves(glass, doors)
     windows, leaf_panes = glass.select(~is_leaf), glass.select(is_leaf)
     mullions = find_mullions(windows, partial(_count_all, scans), settings.opening_rules)
     model = BuildingModel(walls, foreground, judged, doors, windows, blinds, scans.levels, leaf_panes, mullions, low)
-    return Building(model, halo, aligned, thickness_m)
+    return Building(model, aligned, thickness_m)
 
 
 # --- faces ---
