@@ -83,7 +83,7 @@ class RelabellingSettings(StepSettings):
         0.02, gt=0, lt=1, description="Share of rays that pass a surface: errors of the map."
     )
     clutter_per_m: float = Field(
-        0.06, gt=0, description="Number of returns from clutter on a metre of a ray."
+        0.07, gt=0, description="Number of returns from clutter on a metre of a ray."
     )
 
 
@@ -132,7 +132,7 @@ _LABEL_GIVEN_SURFACE = np.array(
         [0.86, 0.13, 0.003],  # clutter
         [0.06, 0.935, 0.003],  # upright structure
         [0.50, 0.935, 0.003],  # floor and ceiling
-        [0.08, 0.20, 0.70],  # closed door
+        [0.08, 0.13, 0.78],  # closed door
         [0.40, 0.57, 0.010],  # plane that is not a wall
     ]
 )[:, [0, 1, 1, 1, 2, 0]]
@@ -363,7 +363,7 @@ def _likeliest(
         count = 0
         for level in range(2):
             off_m = height_m if level == 0 else below_m
-            if outside[i] or abs(off_m) >= _LEVEL_REACH_M:
+            if outside[i] or not -0.05 < off_m < _LEVEL_REACH_M:
                 continue
             sine, error_m = max(abs(dz), _SINE_MIN), rules.level_error_m
             density, precision = _density(off_m, sine, error_m, rules)

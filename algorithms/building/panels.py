@@ -1,7 +1,7 @@
 """The upright surfaces of a building as panels: rectangles on which rays end, with a label each."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import reduce
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.segments import LENGTH, Faces, lengths_m, lines_of, moved, segments
+from ffmap.algorithms.base.segments import LENGTH, Faces, lengthened, lengths_m, lines_of, moved, segments
 from ffmap.algorithms.building.model import CELL_M, Doors, Rows, Windows
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -59,6 +59,8 @@ _LEAF_M = 0.04
 """Thickness (m) of a door leaf (DIN 68706-1)."""
 _LINTEL_M = 0.3
 """Height (m) of the lintel above a door: the last row of bricks and its bearing."""
+_EDGE_M = 0.02
+"""Error (m) of a door's edges, by which it may be wider."""
 _OTHER_FACE_M = 0.1
 """Maximum error (m) of a reveal's depth, within which a door opens the wall's other face."""
 _DUPLICATE_M = 0.04
@@ -122,7 +124,9 @@ def _parts(building: "BuildingModel") -> Iterator[Panels]:
     head_m = np.append(doors.head_m, -np.inf)  # index -1: no door
     # Walls: no door, but a lintel above. What is in a window does not reach a ceiling.
     wall, start_m, ends, (door, window) = _split(
-        walls, (doors, opened_m), (windows, np.full(len(windows), _OTHER_FACE_M))
+        walls,
+        (replace(doors, ends=lengthened(doors.ends, _EDGE_M)), opened_m),
+        (windows, np.full(len(windows), _OTHER_FACE_M)),
     )
     yield _panels(
         *(ends, walls.normal[wall], Label.WALL, Kind.WALL, head_m[door]),
@@ -143,6 +147,8 @@ def _parts(building: "BuildingModel") -> Iterator[Panels]:
         *(mullions.bottom_m, mullions.top_m),
         back_m=mullions.out_m,
     )
+    blind, _, _, (door,) = _split(blinds, (doors, opened_m))
+    blinds = blinds.select(np.setdiff1d(blind, blind[door >= 0]))
     yield _panels(
         moved(blinds.ends, blinds.normal, -blinds.behind_m),
         *(blinds.normal, Label.CLUTTER, Kind.BLIND, blinds.bottom_m, blinds.top_m),
