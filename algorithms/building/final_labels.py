@@ -144,8 +144,12 @@ _SURFACE_OF_KIND = np.array([0, 0, 2, 2, 1, 3, 1, 1, 1, 4, 4, 4, 2])
 """The row of each `Kind`."""
 _REACH_M = 0.12
 """Maximum distance (m) of outliers from a surface."""
+_RANGE_ERROR_MAX_M = 0.2
+"""Maximum error (m) of a range, for outliers too."""
 _LEVEL_REACH_M = 0.1
 """The same of floor and ceiling. A ceiling that is lower by more is that of another room."""
+_LEVEL_BEHIND_M = 0.05
+"""The same below the floor and above the ceiling, beyond what a scan labels so itself."""
 _LEVEL_PRESENCE = 0.9
 """Probability that a scan's floor or ceiling extends to where a ray crosses its plane."""
 _DEPTH_PER_M = 2.0
@@ -191,7 +195,9 @@ class Relabelling:
         # From the middle of their depth panels reach least far.
         half_m = 0.5 * float((panels.front_m + panels.back_m).max(initial=0.0))
         middle = moved(panels.ends, panels.normal, 0.5 * (panels.front_m - panels.back_m))
-        reach_m = _REACH_M + _OWN_OFF_M + half_m + 4.0 * settings.edge_error_m
+        reach_m = (
+            half_m + _OWN_OFF_M + max(_REACH_M, _RANGE_ERROR_MAX_M + 5.0 * settings.edge_error_m)
+        )
         # Rays pass aslant between mullions.
         gaps = mullions.ends, mullions.normal, mullions.bottom_m, mullions.top_m
         between = Windows(*gaps, np.zeros(len(mullions)))
@@ -357,13 +363,13 @@ def _likeliest(
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         height_m, below_m = np.float64(height[i]), np.float64(below_ceiling[i])
         dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
-        range_m = max(np.sqrt(dx * dx + dy * dy + dz * dz), 1e-6)
+        range_m = max(float(np.sqrt(dx * dx + dy * dy + dz * dz)), 1e-6)
         dx, dy, dz = dx / range_m, dy / range_m, dz / range_m
         scan = label_scan[i]
         count = 0
         for level in range(2):
-            off_m = height_m if level == 0 else below_m
-            if outside[i] or not -0.05 < off_m < _LEVEL_REACH_M:
+            off_m: float = height_m if level == 0 else below_m
+            if outside[i] or not -_LEVEL_BEHIND_M < off_m < _LEVEL_REACH_M:
                 continue
             sine, error_m = max(abs(dz), _SINE_MIN), rules.level_error_m
             density, precision = _density(off_m, sine, error_m, rules)
@@ -400,6 +406,7 @@ def _likeliest(
             # The likeliest error of the range; that of the pose is 3 standard deviations at most.
             by_pose_m = left_m * (error_m * precision) ** 2
             step_m = (left_m - min(max(by_pose_m, -3.0 * error_m), 3.0 * error_m)) / sine
+            step_m = min(max(step_m, -_RANGE_ERROR_MAX_M), _RANGE_ERROR_MAX_M)
             u = along_line(panels, k, x + step_m * dx, y + step_m * dy)
             at_m, top_m, ceiling_m = height_m + step_m * dz, panels[k, TOP], np.nan
             is_covered = False

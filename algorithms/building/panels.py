@@ -11,7 +11,15 @@ from numpy.typing import ArrayLike
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.base.segments import LENGTH, Faces, lengthened, lengths_m, lines_of, moved, segments
+from ffmap.algorithms.base.segments import (
+    LENGTH,
+    Faces,
+    lengthened,
+    lengths_m,
+    lines_of,
+    moved,
+    segments,
+)
 from ffmap.algorithms.building.model import CELL_M, Doors, Rows, Windows
 from ffmap.algorithms.scan.doors import DoorState
 
@@ -120,6 +128,7 @@ def _parts(building: "BuildingModel") -> Iterator[Panels]:
         *(building.windows, building.judged),
     )
     blinds, mullions = building.blinds, building.mullions
+    doors = replace(doors, reveal_m=np.fmax(doors.reveal_m, 0.0))
     opened_m, pane_m = doors.reveal_m + _OTHER_FACE_M, pane_depth_m(windows)
     head_m = np.append(doors.head_m, -np.inf)  # index -1: no door
     # Walls: no door, but a lintel above. What is in a window does not reach a ceiling.
@@ -172,10 +181,10 @@ def _door_panels(doors: Doors) -> Iterator[Panels]:
     """Yield the leaves of closed doors from both sides, and jambs and lintels of all doors."""
     leaves = doors.select(doors.state == DoorState.CLOSED)
     leaf = moved(leaves.ends, leaves.normal, -leaves.depth_m)
-    of_leaf = {"label": Label.DOOR, "kind": Kind.LEAF, "top_m": leaves.head_m}
+    of_leaf = Label.DOOR, Kind.LEAF, -np.inf, leaves.head_m
     before_m = np.maximum(leaves.depth_m, 0.0)
-    yield _panels(leaf, leaves.normal, **of_leaf, front_m=before_m, wall=leaves.wall)
-    yield _panels(leaf, -leaves.normal, **of_leaf, front_m=_LEAF_M)
+    yield _panels(leaf, leaves.normal, *of_leaf, front_m=before_m, wall=leaves.wall)
+    yield _panels(leaf, -leaves.normal, *of_leaf, front_m=_LEAF_M)
     along = (doors.ends[:, 1] - doors.ends[:, 0]) / np.maximum(lengths_m(doors.ends), 1e-9)[:, None]
     other_face = moved(doors.ends, doors.normal, -doors.reveal_m)
     for end, inwards in ((0, along), (1, -along)):
@@ -195,7 +204,7 @@ def _panels(
     ends: FloatArray,
     normal: FloatArray,
     label: ArrayLike,
-    kind: ArrayLike,
+    kind: Kind,
     bottom_m: ArrayLike = -np.inf,
     top_m: ArrayLike = np.inf,
     front_m: ArrayLike = 0.0,
@@ -203,12 +212,16 @@ def _panels(
     wall: ArrayLike = -1,
     column: ArrayLike = -1.0,
 ) -> Panels:
-    def rows(value: ArrayLike, kind: type = np.float64) -> FloatArray:
-        return np.broadcast_to(np.asarray(value, kind), len(ends))
+    def rows(value: ArrayLike) -> FloatArray:
+        return np.broadcast_to(np.asarray(value, np.float64), len(ends))
 
-    extents = (rows(value) for value in (bottom_m, top_m, front_m, back_m))
-    codes = rows(label, np.uint8), rows(kind, np.uint8)
-    return Panels(ends, normal, *extents, *codes, rows(wall, np.int64), rows(column))
+    return Panels(
+        *(ends, normal, rows(bottom_m), rows(top_m), rows(front_m), rows(back_m)),
+        label=rows(label).astype(np.uint8),
+        kind=np.full(len(ends), kind, np.uint8),
+        wall=rows(wall).astype(np.int64),
+        column=rows(column),
+    )
 
 
 def _split(
@@ -222,7 +235,7 @@ def _split(
     (n, 2, 2), and for each of the others the index (n,) of one along the piece; -1 for none.
     """
     face, start, ends = [np.zeros(0, np.int64)], [np.zeros(0)], [np.zeros((0, 2, 2))]
-    along = [[np.zeros(0, np.int64)] for _ in others]
+    along: list[list[IntArray]] = [[np.zeros(0, np.int64)] for _ in others]
     for k, line in enumerate(segments(faces)):
         spans = []
         for other, near_m in others:
@@ -240,5 +253,5 @@ def _split(
             within = np.vstack([within, np.ones((1, len(middle)), bool)])
             first = within.argmax(axis=0)
             covering.append(np.where(first < len(span), first, -1))
-    covering_faces = [np.concatenate(indices) for indices in along]
+    covering_faces: list[IntArray] = [np.concatenate(indices) for indices in along]
     return np.concatenate(face), np.concatenate(start), np.concatenate(ends), covering_faces

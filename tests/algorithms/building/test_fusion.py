@@ -30,7 +30,6 @@ from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
 from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
-from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.level_settings import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
 from ffmap.algorithms.building.missed_walls import (
@@ -73,7 +72,6 @@ SETTINGS = FusionSettings(
     DoorOutlinesSettings(),
     DoorFramesSettings(),
     WallThicknessSettings(),
-    HaloSettings(),
     RelabellingSettings(),
 )
 
