@@ -20,7 +20,7 @@ from ffmap.algorithms.base.segments import (
     moved,
     segments,
 )
-from ffmap.algorithms.building.model import CELL_M, Doors, Rows, Windows
+from ffmap.algorithms.building.model import CELL_M, Blinds, Doors, Rows, Windows
 from ffmap.algorithms.scan.doors import DoorState
 
 if TYPE_CHECKING:
@@ -123,41 +123,44 @@ def panels_of(building: "BuildingModel") -> Panels:
 
 
 def _parts(building: "BuildingModel") -> Iterator[Panels]:
-    walls, doors, windows, judged = (
-        *(building.walls, building.doors),
-        *(building.windows, building.judged),
-    )
-    blinds, mullions = building.blinds, building.mullions
+    walls, doors, windows = building.walls, building.doors, building.windows
+    blinds, mullions, judged = building.blinds, building.mullions, building.judged
     doors = replace(doors, reveal_m=np.fmax(doors.reveal_m, 0.0))
     opened_m, pane_m = doors.reveal_m + _OTHER_FACE_M, pane_depth_m(windows)
     head_m = np.append(doors.head_m, -np.inf)  # index -1: no door
-    # Walls: no door, but a lintel above. What is in a window does not reach a ceiling.
-    wall, start_m, ends, (door, window) = _split(
-        walls,
-        (replace(doors, ends=lengthened(doors.ends, _EDGE_M)), opened_m),
-        (windows, np.full(len(windows), _OTHER_FACE_M)),
-    )
-    yield _panels(
-        *(ends, walls.normal[wall], Label.WALL, Kind.WALL, head_m[door]),
-        top_m=np.where(window < 0, walls.top_m[wall], np.inf),
-        wall=wall,
-        column=np.where(window < 0, building.foreground.first[wall] + start_m / CELL_M, -1.0),
+    blind, _, _, (door,) = _split(blinds, (doors, opened_m))
+    blinds = blinds.select(np.setdiff1d(blind, blind[door >= 0]))  # a glazed door is a door
+    hung = blinds, np.full(len(blinds), _OTHER_FACE_M)
+    wider = replace(doors, ends=lengthened(doors.ends, _EDGE_M))
+    glass = windows, np.full(len(windows), _OTHER_FACE_M)
+    wall, start_m, ends, (door, window, blind) = _split(walls, (wider, opened_m), glass, hung)
+    bare = (window < 0) & (blind < 0)
+    yield _without(
+        blinds,
+        blind,
+        _panels(
+            *(ends, walls.normal[wall], Label.WALL, Kind.WALL, head_m[door]),
+            top_m=np.where(bare, walls.top_m[wall], np.inf),
+            wall=wall,
+            column=np.where(bare, building.foreground.first[wall] + start_m / CELL_M, -1.0),
+        ),
     )
     yield from _door_panels(doors)
-    # Windows: a glazed door is a door.
-    window, _, ends, (door,) = _split(windows, (doors, opened_m))
-    yield _panels(
-        moved(ends, windows.normal[window], -pane_m[window]),
-        *(windows.normal[window], Label.WALL, Kind.RECESS, head_m[door]),
-        front_m=pane_m[window],
+    window, _, ends, (door, blind) = _split(windows, (doors, opened_m), hung)
+    yield _without(
+        blinds,
+        blind,
+        _panels(
+            moved(ends, windows.normal[window], -pane_m[window]),
+            *(windows.normal[window], Label.WALL, Kind.RECESS, head_m[door]),
+            front_m=pane_m[window],
+        ),
     )
     yield _panels(
         *(mullions.front, mullions.normal, Label.WALL, Kind.MULLION),
         *(mullions.bottom_m, mullions.top_m),
         back_m=mullions.out_m,
     )
-    blind, _, _, (door,) = _split(blinds, (doors, opened_m))
-    blinds = blinds.select(np.setdiff1d(blind, blind[door >= 0]))
     yield _panels(
         moved(blinds.ends, blinds.normal, -blinds.behind_m),
         *(blinds.normal, Label.CLUTTER, Kind.BLIND, blinds.bottom_m, blinds.top_m),
@@ -175,6 +178,14 @@ def _parts(building: "BuildingModel") -> Iterator[Panels]:
         *(judged.refused_label[plane], Kind.REFUSED),
         top_m=judged.refused.top_m[plane],
     )
+
+
+def _without(blinds: Blinds, blind: IntArray, panels: Panels) -> Panels:
+    """Return the parts of panels below and above blinds. blind: (P,) its index; -1 for none."""
+    hidden, own = panels.select(blind >= 0), blinds.select(blind[blind >= 0])
+    below = replace(hidden, top_m=np.minimum(hidden.top_m, own.bottom_m))
+    above = replace(hidden, bottom_m=np.maximum(hidden.bottom_m, own.top_m))
+    return panels.select(blind < 0).append(below).append(above)
 
 
 def _door_panels(doors: Doors) -> Iterator[Panels]:
