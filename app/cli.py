@@ -113,7 +113,7 @@ def run(
 
     ```
     ffmap run drive.bag
-    ffmap run drive.mcap --out runs/a --set relabelling.wall_distance_m=0.06 --spawn
+    ffmap run drive.mcap --out runs/a --set relabelling.range_noise_m=0.03 --spawn
     ffmap run drive.bag --rig rig.toml --trajectory poses.tum
     ffmap run drive_0.bag drive_1.bag drive_2.bag
     ffmap run drive.bag --vertical /left/points --vertical /right/points
@@ -442,7 +442,7 @@ def sweep(
         list[str] | None,
         Option(
             metavar="NAME=V,V",
-            help="Setting and its values, as in relabelling.wall_distance_m=0.02,0.04; with "
+            help="Setting and its values, as in relabelling.range_noise_m=0.01,0.03; with "
             "--random and --optuna also a range, as in 0.02..0.08; repeatable.",
         ),
     ] = None,
@@ -481,7 +481,7 @@ def sweep(
 
     ```
     ffmap sweep drive.bag --grid foreground.relief_m=0.01,0.04 --grid building.length_min_m=0.25,0.8
-    ffmap sweep a.bag b.bag --grid relabelling.wall_distance_m=0.02..0.08 --optuna 30
+    ffmap sweep a.bag b.bag --grid relabelling.range_noise_m=0.01..0.04 --optuna 30
     ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
     ```
     """

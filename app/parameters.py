@@ -50,7 +50,7 @@ TimeFrom = Annotated[
 Config = Annotated[Path | None, Option(help="Settings as TOML; see 'ffmap settings'.")]
 Set = Annotated[
     list[str] | None,
-    Option("--set", help="One setting, as in relabelling.wall_distance_m=0.06; repeatable."),
+    Option("--set", help="One setting, as in relabelling.range_noise_m=0.03; repeatable."),
 ]
 Trajectory = Annotated[
     str | None,

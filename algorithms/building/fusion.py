@@ -22,7 +22,6 @@ from ffmap.algorithms.building.face_foreground import (
 )
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings
-from ffmap.algorithms.building.halo import Halo, HaloSettings, find_halo, halo_at_walls
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings, along_low_walls, find_low_walls
 from ffmap.algorithms.building.model import (
@@ -90,7 +89,6 @@ class FusionSettings:
     foreground: ForegroundSettings
     door_frames: DoorFramesSettings
     wall_thickness: WallThicknessSettings
-    halo: HaloSettings
     relabelling: RelabellingSettings
 
 
@@ -98,14 +96,13 @@ class FusionSettings:
 class Building:
     """All that is made of all scans together.
 
-    model: what scans are labelled by. halo: the same, kept apart because it is large. aligned: the
-    faces before any was judged. parsed: the walls but for low ones, with what rays found of them.
+    model: what scans are labelled by. aligned: the faces before any was judged. parsed: the walls
+    but for low ones, with what rays found of them.
     thickness_m: (W,) of the walls.
     """
 
     model: BuildingModel
     parsed: ParsedFaces
-    halo: Halo
     aligned: AlignedFaces
     thickness_m: FloatArray
 
@@ -131,8 +128,6 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     walls = walls.append(low)
     foreground = foreground.append(bare_foreground(low, scans.storey))
     thickness_m = face_thickness(walls, part_walls(walls, settings.wall_thickness))
-    halo = find_halo(scans.votes, settings.halo)
-    halo = halo_at_walls(halo, walls, doors, foreground, scans.storey, settings.halo)
     is_leaf = panes_of_open_leaves(windows, doors)
     model = BuildingModel(
         walls,
@@ -145,7 +140,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
         leaf_panes=windows.select(is_leaf),
         low_walls=low,
     )
-    return Building(model, parsed, halo, aligned, thickness_m)
+    return Building(model, parsed, aligned, thickness_m)
 
 
 def _find_faces(

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.base.labels import NO_RETURN, Label, Verdict
+from ffmap.algorithms.base.labels import NO_RETURN, Verdict
 from ffmap.algorithms.base.scan import BoolArray, IntArray, Scan, UInt8Array
-from ffmap.algorithms.building.label_reasons import FACE_COMPARISONS, REASONS, SETTINGS, Reason
+from ffmap.algorithms.building.final_labels import ODDS_MAX
+from ffmap.algorithms.building.panels import KIND_WORDS
 from ffmap.algorithms.poses.levelling import LevelledScan
 from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.point_lines import PointLines
@@ -18,7 +19,6 @@ from ffmap.app.analysis.run_labels import read_run_labels
 from ffmap.app.folder.finished_run import FinishedRun
 from ffmap.app.folder.labels_file import read_labels
 from ffmap.app.folder.names import EVALUATION, LABELS
-from ffmap.app.record.conditions import Condition, centimetres, setting_of
 from ffmap.app.record.inspection import TRUE_CLASSES, ScanFaults
 from ffmap.app.record.line_reasons import name_of
 from ffmap.app.record.read_back import rows
@@ -27,7 +27,6 @@ from ffmap.app.run.blocks import Block, label_alone, usable
 from ffmap.app.run.given_poses import given_poses
 from ffmap.app.run.poses import estimate_poses
 from ffmap.app.setup.inputs import Inputs
-from ffmap.app.setup.settings import Settings
 from ffmap.app.setup.versions import git_revision
 from ffmap.blueprints import entities
 from ffmap.blueprints.entities import Fault
@@ -38,10 +37,7 @@ from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.pointcloud2 import full_labels
 from ffmap.loaders.scans import SkippedScan, read_scans
 
-CHANGE_HEADINGS = (
-    *("returns", "wrong", "by the scan → final", "reason", "to the nearest face"),
-    *("turns at", "setting"),
-)
+CHANGE_HEADINGS = ("returns", "wrong", "by the scan → final", "returns from", "median odds")
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,11 +106,14 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         faults = _find_faults(changed, wrong)
         recorded = _recorded_changes(run, number, int(np.count_nonzero(changed)))
         if recorded is not None:
-            changes = _change_rows(recorded, None if wrong is None else wrong[changed], settings)
+            changes = _change_rows(recorded, None if wrong is None else wrong[changed])
             why_changed = [""] * len(final)
-            reasons = recorded[entities.POINT_REASON].tolist()
-            for i, reason in zip(np.flatnonzero(changed).tolist(), reasons, strict=True):
-                why_changed[i] = REASONS[reason]
+            reasons, odds = (
+                recorded[name].tolist() for name in (entities.POINT_REASON, entities.POINT_ODDS)
+            )
+            of_changed = zip(np.flatnonzero(changed).tolist(), reasons, odds, strict=True)
+            for i, reason, own_odds in of_changed:
+                why_changed[i] = f"{KIND_WORDS[reason]}, odds {_odds_text(own_odds)}"
     several = len(inputs.verticals) > 1
     which = f"Scan {number} is cloud {cloud} of {lidar.topic}." if several else None
     return InspectedScan(
@@ -268,49 +267,35 @@ def _recorded_changes(run: FinishedRun, number: int, count: int) -> dict[str, An
     return values if values is not None and len(values["class_ids"]) == count else None
 
 
-def _change_rows(
-    values: Mapping[str, Any], wrong: BoolArray | None, settings: Settings
-) -> list[tuple[str, ...]]:
+def _change_rows(values: Mapping[str, Any], wrong: BoolArray | None) -> list[tuple[str, ...]]:
     """Tabulate recorded changes; see `InspectedScan`.
 
     wrong: (c,) whether each changed label is wrong; None if unknown.
     """
     names = entities.POINT_LABEL_SCAN, "class_ids", entities.POINT_REASON
     codes = np.column_stack([values[name] for name in names])
-    off_face_m = values[entities.POINT_OFF_FACE].astype(np.float64)
+    odds = values[entities.POINT_ODDS].astype(np.float64)
     kinds, kind, counts = np.unique(codes, axis=0, return_inverse=True, return_counts=True)
     changes: list[tuple[str, ...]] = []
     for k in np.argsort(-counts, kind="stable"):
         own = kind.ravel() == k
         before, after, reason = kinds[k].tolist()
-        median_m = float(np.sort(off_face_m[own])[np.count_nonzero(own) // 2])
-        setting, turns_at = _deciding(reason, before, median_m, settings)
         changes.append(
             (
                 f"{counts[k]:,}",
                 "–" if wrong is None else f"{np.count_nonzero(wrong[own]):,}",
                 f"{entities.CLASSES[before][0]} → {entities.CLASSES[after][0]}",
-                REASONS[reason],
-                centimetres(median_m) if np.isfinite(median_m) else "–",
-                turns_at,
-                setting,
+                KIND_WORDS[reason],
+                _odds_text(float(np.sort(odds[own])[np.count_nonzero(own) // 2])),
             )
         )
     return changes
 
 
-def _deciding(reason: int, before: int, off_face_m: float, settings: Settings) -> tuple[str, str]:
-    """Return the setting that decides on a change, and the value at which the median one turns."""
-    name, comparison = SETTINGS.get(reason), FACE_COMPARISONS.get(reason)
-    if reason == Reason.NO_FACE and before == Label.DOOR:
-        name, comparison = SETTINGS[Reason.ON_FACE], "≥"
-    if name is None:
-        return "–", "–"
-    setting = setting_of(settings, name)
-    if comparison is None or not np.isfinite(off_face_m):
-        return setting.assignment, "–"
-    condition = Condition(REASONS[reason], off_face_m, comparison, setting.value, "m", setting)
-    return setting.assignment, condition.turning_text
+def _odds_text(odds: float) -> str:
+    if np.isnan(odds):
+        return "unknown"
+    return f"over {ODDS_MAX:,.0f}:1" if odds >= 0.99 * ODDS_MAX else f"{odds:,.{int(odds < 10)}f}:1"
 
 
 def faults_in_words(faults: ScanFaults | None, lines: PointLines) -> str:

@@ -36,7 +36,7 @@ from ffmap.loaders.errors import InputError
 from ffmap.loaders.fingerprint import fingerprint
 from ffmap.loaders.truth import carries_truth
 
-_EXAMPLE = "relabelling.wall_distance_m=0.02,0.04"
+_EXAMPLE = "relabelling.range_noise_m=0.01,0.03"
 Combination = Mapping[str, Any]
 """A value for each searched setting, by its dotted name."""
 
@@ -137,7 +137,7 @@ def sweep(
 
 
 def parse_grid(texts: Sequence[str], ranges: bool) -> tuple[Parameter, ...]:
-    """Parse texts like building.scans_min=2,3 or relabelling.wall_distance_m=0.02..0.08.
+    """Parse texts like building.scans_min=2,3 or relabelling.range_noise_m=0.01..0.04.
 
     ranges: whether a range may be given. Raises InputError that names the wrong text.
     """

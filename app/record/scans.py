@@ -185,7 +185,7 @@ def log_final(
     label_scan: UInt8Array,
     relabelled: Relabelled,
 ) -> None:
-    """Log the final labels of a scan, and the reasons of those that differ from its own.
+    """Log the final labels of a scan, and what those that differ from its own are from.
 
     At the same index the later `class_ids` of the points replace those of `log_scan`.
     """
@@ -198,8 +198,8 @@ def log_final(
         log.row(entities.POINTS, rr.Points3D, class_ids=label)
     of_returns = {
         entities.POINT_LABEL_SCAN: label_scan[changed],
-        entities.POINT_REASON: relabelled.reason[changed],
-        entities.POINT_OFF_FACE: relabelled.off_face_m[changed].astype(np.float16),
+        entities.POINT_REASON: relabelled.kind[changed],
+        entities.POINT_ODDS: relabelled.odds[changed].astype(np.float16),
     }
     positions = rounded(points_level[changed])
     log.row(

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 
 from ffmap.algorithms.base.own_body import OwnBody
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.label_reasons import REASONS
+from ffmap.algorithms.building.panels import KIND_WORDS
 from ffmap.algorithms.maps.grid import GridMap
 from ffmap.app.folder.record import FROM_ODOMETRY
 from ffmap.app.record.log import Log
@@ -155,6 +155,6 @@ def explain(record: Mapping[str, Any]) -> str:
     return Template(text).substitute(
         bag=PurePath(str(bag.get("path") or "A run")).name,
         lidars="\n".join(lidars),
-        reasons="; ".join(f"{code} {words}" for code, words in REASONS.items() if code),
+        reasons="; ".join(f"{code} {words}" for code, words in KIND_WORDS.items()),
         run=run,
     )

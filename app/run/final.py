@@ -4,8 +4,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import partial
 
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
@@ -13,7 +12,6 @@ from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling
 from ffmap.algorithms.building.fusion import Building
-from ffmap.algorithms.building.halo import Halo
 from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.floor import heights_above_pieces
@@ -52,10 +50,7 @@ def relabel_scans(
     """
     inputs = run.inputs
     report.progress.stage("final", len(labelled.blocks))
-    # A file that each worker reads once, for it is large.
-    halo = run.spool / "halo.arrow"
-    write_arrays(halo, pack(building.halo))
-    relabel = partial(relabel_block, building=building.model, halo=halo)
+    relabel = partial(relabel_block, building=building.model)
     relabelled = zip(labelled.blocks, executor.map(relabel, labelled.blocks), strict=True)
     votes = VoxelTable(VOXEL_M, len(Label))
     path = run.folder / LABELS if Output.LABELS in run.options.outputs else None
@@ -103,13 +98,12 @@ def _labels_of(block: Block) -> Iterator[ScanLabels]:
         yield ScanLabels(scan.scan, topic, scan.stamp_ns, final.label, scan.label_cloud)
 
 
-def relabel_block(block: Block, building: BuildingModel, halo: Path) -> list[SkippedScan]:
+def relabel_block(block: Block, building: BuildingModel) -> list[SkippedScan]:
     """Relabel every return of a block; scans whose data raise an exception keep their labels."""
     if block.resumed and block.relabelled.exists():
         return []
     scans = unpack_rows(LabelledScan, map_arrays(block.labelled))
-    own_halo = _read_halo(halo, block.recording_id)
-    relabelling = Relabelling.of(building, own_halo, block.settings.relabelling)
+    relabelling = Relabelling.of(building, block.settings.relabelling)
     labels: list[_RelabelledScan] = []
     failed: list[SkippedScan] = []
     votes = VoxelTable(VOXEL_M, len(Label))
@@ -141,9 +135,3 @@ def _relabel(scan: LabelledScan, relabelling: Relabelling, log: Log | None) -> U
     if log:
         log_final(log, scan.scan, scan.stamp_ns, points_level, label_scan, relabelled)
     return relabelled.label
-
-
-@lru_cache(maxsize=1)
-def _read_halo(path: Path, _recording_id: str) -> Halo:
-    """Map the halo once in a process for each run: another run may write to the same path."""
-    return unpack(Halo, map_arrays(path))

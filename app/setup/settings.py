@@ -20,7 +20,6 @@ from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
-from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings
@@ -88,7 +87,7 @@ MAIN: dict[str, tuple[str, str]] = {
         "wide doors are missing",
         "wide passages or recesses become doors",
     ),
-    "relabelling.wall_distance_m": (
+    "relabelling.range_noise_m": (
         "walls keep a fringe of clutter",
         "flat objects on walls become wall",
     ),
@@ -132,7 +131,6 @@ class Settings(StepSettings):
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()
-    halo: HaloSettings = HaloSettings()
     relabelling: RelabellingSettings = RelabellingSettings()
 
     @property
@@ -183,7 +181,7 @@ def load_settings(config: Path | None, overrides: Sequence[str]) -> Settings:
         if not equals or not name:
             raise InputError(
                 f"--set {override}: write it as step.name=value, as in "
-                "relabelling.wall_distance_m=0.06"
+                "relabelling.range_noise_m=0.03"
             )
         put(values, name.strip(), parse_value(text.strip()), f"--set {override}")
     return validate(values, source)
@@ -262,7 +260,7 @@ def decides_finally(name: str) -> str | None:
     """Return the setting of the building that is the counterpart of a scan's; None without one.
 
     doors.recess_min_m has building.recess_min_m, wall_planes.distance_m has
-    relabelling.wall_distance_m.
+    relabelling.range_noise_m.
     """
     if acts_on(name) != SCAN_LABELS:
         return None

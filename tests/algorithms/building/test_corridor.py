@@ -13,7 +13,6 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
-from ffmap.algorithms.building.halo import HaloSettings, find_halo
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_BLINDS,
@@ -37,7 +36,6 @@ from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from tests.corridor import HEIGHT_M, Hole, labelled, share
 from tests.drawing import draw_furniture_free
 from tests.faces import doors_in, traced
-from tests.voting import vote
 
 SETTINGS, FRAMES = BuildingSettings(), DoorFramesSettings()
 RULES = OpeningRules(SETTINGS, OpeningsSettings())
@@ -56,7 +54,6 @@ def relabelled(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A scan's points in the map, and their final labels."""
     points = placed.to_map(placed.points_level).astype(np.float32)
-    halo = find_halo(vote(points, found.label, len(Label), 0.05), HaloSettings(ratio=6.0))
     origin = placed.to_map(placed.origin_level[None])[0]
     columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
     first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
@@ -65,7 +62,7 @@ def relabelled(
         first, np.full(count, HEIGHT_M), np.zeros(count), np.zeros((count, 60), bool)
     )
     model = BuildingModel(walls, before, NO_JUDGED_FACES, doors, windows, NO_BLINDS, ())
-    relabelling = Relabelling.of(model, halo, RelabellingSettings())
+    relabelling = Relabelling.of(model, RelabellingSettings())
     below_m = below_ceiling(placed.points_level, found.ceiling_planes)
     labels = relabelling.labels(points, found.height_m, below_m, found.label, origin)
     return points, labels.label

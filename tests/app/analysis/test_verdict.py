@@ -82,5 +82,5 @@ def test_settings_without_effect_are_named_with_those_that_decide() -> None:
     assert some.endswith("building.recess_min_m decides on final labels.")
     (better,) = describe(compare(same, {"wall.f1": 0.95}, **settings))
     assert "decides" not in better
-    (final,) = describe(compare(same, same, changed=0, **{"halo.ratio": [10.0, 5.0]}))
-    assert final.endswith("halo.ratio (10.0 → 5.0) changed no final label.")
+    (final,) = describe(compare(same, same, changed=0, **{"relabelling.passed_share": [0.02, 0.05]}))
+    assert final.endswith("relabelling.passed_share (0.02 → 0.05) changed no final label.")

@@ -43,7 +43,7 @@ SETTINGS = (
     "smoothing.returns=9",
     "wall_planes.similarity_m=0.002",
     "doors.recess_min_m=0.05",
-    "relabelling.wall_distance_m=0.01",
+    "relabelling.range_noise_m=0.04",
 )
 Labels = dict[int, tuple[np.ndarray, np.ndarray]]
 
@@ -167,7 +167,7 @@ def test_what_differs_is_printed_and_in_the_recording(
         "smoothing.returns": [11, 9],
         "wall_planes.similarity_m": [0.05, 0.002],
         "doors.recess_min_m": [0.022, 0.05],
-        "relabelling.wall_distance_m": [0.04, 0.01],
+        "relabelling.range_noise_m": [0.018, 0.04],
     }
     names = ("usual", "other")
     metrics = [json.loads((runs[name] / "metrics.json").read_text()) for name in names]
@@ -506,9 +506,8 @@ def test_the_worst_scan_opens_at_its_worst_line_and_names_wrong_labels(
     assert min(counted, also_wrong) > 0
     assert changes[0][0] in out
     assert changes[0][3].split()[-1] in out
-    face = next(change for change in changes if "lies on a wall's face" in change[3])
-    assert face[6] == "relabelling.wall_distance_m=0.01"
-    assert float(face[5].removeprefix("≤ ")) < 0.01
+    face = next(change for change in changes if change[3] == "wall face")
+    assert face[4].endswith(":1")
     # The first table is of labels, the line's of its conditions, with values to turn them.
     assert out.startswith(f"Scan {scan} of other: labels of its returns")
     assert out.index("true class") < out.index("The final label")

@@ -9,7 +9,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from ffmap.algorithms.base.labels import Label, Truth
-from ffmap.algorithms.building.label_reasons import REASONS, Reason
+from ffmap.algorithms.building.panels import KIND_WORDS, Kind
 from ffmap.algorithms.scan.labelling import label_scan
 from ffmap.app.record.inspection import ExplainedScan, ScanFaults, write
 from ffmap.app.record.line_reasons import explain_lines
@@ -90,7 +90,7 @@ def test_wrong_labels_are_marked_in_the_scan_and_in_each_line(tmp_path: Path) ->
     faults, path = ScanFaults(fault, by_truth=True), tmp_path / "inspect.rrd"
     labelling, truth = scan.labelling, np.full(returns, Truth.BOARD_ON_WALL, np.uint8)
     final = np.where(fault == Fault.OF_THE_BUILDING, Label.CLUTTER, labelling.label)
-    why = [REASONS[Reason.AGAINST_WALL] if own == Fault.OF_THE_BUILDING else "" for own in fault]
+    why = [KIND_WORDS[Kind.RELIEF] if own == Fault.OF_THE_BUILDING else "" for own in fault]
     known = {"final": final.astype(np.uint8), "truth": truth, "why_changed": why}
     write(path, "inspect-2", replace(scan, faults=faults, **known))
     marked = static(path)["/scan/faults"]

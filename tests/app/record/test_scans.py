@@ -157,8 +157,8 @@ def test_final_labels_replace_those_of_the_scan(tmp_path, labelled):
     log, stamp_ns = Log(recording.stream), synthetic.stamp_ns(0)
     log_scan(log, 0, level, labelling, stamp_ns)
     changed = labelling.label != final
-    reason, off_face_m = np.where(changed, 9, 0).astype(np.uint8), np.full(len(final), 0.25)
-    relabelled = Relabelled(final, reason, off_face_m)
+    kind, odds = np.where(changed, 9, 0).astype(np.uint8), np.full(len(final), 12.5, np.float32)
+    relabelled = Relabelled(final, kind, odds)
     log_final(log, 0, stamp_ns, level.placed.points_level, labelling.label, relabelled)
     log.send_rows()
     recording.finish()
@@ -168,7 +168,7 @@ def test_final_labels_replace_those_of_the_scan(tmp_path, labelled):
     assert np.count_nonzero(changed) == len(recorded["class_ids"]) > 0
     np.testing.assert_array_equal(recorded["label_scan"], labelling.label[changed])
     assert set(recorded["reason"].tolist()) == {9}
-    assert set(recorded["metres_to_wall_face"].tolist()) == {0.25}
+    assert set(recorded["odds"].tolist()) == {12.5}
 
 
 @pytest.mark.parametrize("path", [POINTS, "/scan/lines", UPMOST, OPENINGS])

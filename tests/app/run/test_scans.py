@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffmap.algorithms.base.labels import NO_RETURN, Label
-from ffmap.algorithms.building.halo import Halo
+from ffmap.algorithms.base.labels import NO_RETURN
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.algorithms.scan.summary import Features
 from ffmap.app.record.read_back import rows
-from ffmap.app.run import blocks, final
-from ffmap.app.run.arrays import map_arrays, pack, pack_rows, unpack, unpack_rows, write_arrays
+from ffmap.app.run import blocks
+from ffmap.app.run.arrays import map_arrays, pack_rows, unpack, unpack_rows, write_arrays
 from ffmap.app.run.blocks import Block, LabelledScan, label_block
 from ffmap.app.run.poses import RunPoses
 from ffmap.app.setup.inputs import Inputs, find_inputs
@@ -68,14 +67,6 @@ def test_a_worker_reads_the_bag_of_its_run_where_another_bag_was(tmp_path: Path)
         label_block(block)
         found.append(labels_of(block)[0])
     assert not np.array_equal(*found)
-
-
-def test_a_worker_reads_the_halo_of_its_run_where_another_was(tmp_path: Path) -> None:
-    file = tmp_path / "halo.arrow"
-    for run, key in (("first", 3), ("second", 7)):
-        write_arrays(file, pack(Halo(np.array([key]), np.array([Label.WALL], np.uint8), 0.1)))
-        for _ in range(2):
-            assert final._read_halo(file, run).keys.tolist() == [key]
 
 
 def failing(function: Callable[..., Any], calls: set[int], error: Exception) -> Callable[..., Any]:
