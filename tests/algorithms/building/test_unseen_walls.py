@@ -88,8 +88,7 @@ def room(top_m: float = CEILING_M) -> VoxelVotes:
 
 def found(top_m: float = CEILING_M, known: Walls = KNOWN, refused: Walls = NO_WALLS) -> Walls:
     """Rays from smaller x end on what stands at x = 3 and pass above it, and all else."""
-    votes = room(top_m)
-    storey = Storey.of(votes, (), LevelsSettings())
+    votes, storey = room(top_m), Storey.of(room(top_m), (), LevelsSettings())
 
     def parse(lines: Walls) -> ParsedFaces:
         painted = []
