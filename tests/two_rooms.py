@@ -10,18 +10,16 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import (
     NO_WINDOWS,
-    BuildingSettings,
     Doors,
     Walls,
     Windows,
     one_door,
 )
-from ffmap.algorithms.building.ray_evidence import trace_rays
 from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features, concatenate
 from tests.rasters import moved
-from tests.tracing import rays_alone
+from tests.tracing import rays_alone, traced_by
 from tests.voting import vote
 
 CEILING_M = 2.6
@@ -186,7 +184,7 @@ class TwoRooms:
         votes = vote(features.ray_end_map, features.ray_label, len(Label), 0.05)
         immobile = Immobile(
             walls=self.walls,
-            cells=trace_rays(both_sides(self.walls), [features], BuildingSettings()),
+            evidence=traced_by(both_sides(self.walls), features),
             votes=votes,
             doors=self.doors if doors is None else doors,
             windows=NO_WINDOWS if windows is None else windows,

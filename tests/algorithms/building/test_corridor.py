@@ -9,12 +9,11 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.trajectory import PlacedScan
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.drive import Drive
+from ffmap.algorithms.building.evidence import RECESS, first_columns
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
-from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
 from ffmap.algorithms.building.model import (
-    CELL_M,
     NO_BLINDS,
     NO_DOORS,
     BuildingSettings,
@@ -22,11 +21,17 @@ from ffmap.algorithms.building.model import (
     Walls,
     Windows,
 )
-from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
-from ffmap.algorithms.building.ray_evidence import trace_rays
+from ffmap.algorithms.building.parse import ParseSettings
+from ffmap.algorithms.building.settle import (
+    Openings,
+    ParsedFaces,
+    doors_of,
+    find_openings,
+    windows_of,
+)
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
+from ffmap.algorithms.building.verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.building.windows import WindowsSettings, find_windows
 from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings
 from ffmap.algorithms.scan.ceiling import below_ceiling
@@ -35,10 +40,17 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from tests.corridor import HEIGHT_M, Hole, labelled, share
 from tests.drawing import draw_furniture_free
-from tests.faces import doors_in, traced
+from tests.faces import traced
+from tests.tracing import traced_by
 
 SETTINGS, FRAMES = BuildingSettings(), DoorFramesSettings()
-RULES = OpeningRules(SETTINGS, OpeningsSettings())
+
+
+def openings_of(walls: Walls, features: Features) -> Openings:
+    """What is open in the faces, below a ceiling over all of the corridor."""
+    faces = traced(walls, traced_by(walls, features), HEIGHT_M)
+    parsed = ParsedFaces.of(faces, np.zeros((0, 2)), 0.1, ParseSettings())
+    return find_openings(parsed, lambda within: traced_by(within, features, at_ends=True))
 
 
 def seen(hole: Hole | None) -> tuple[list[tuple], Features]:
@@ -55,8 +67,7 @@ def relabelled(
     """A scan's points in the map, and their final labels."""
     points = placed.to_map(placed.points_level).astype(np.float32)
     origin = placed.to_map(placed.origin_level[None])[0]
-    columns = np.ceil(np.linalg.norm(walls.ends[:, 1] - walls.ends[:, 0], axis=1) / CELL_M)
-    first = np.concatenate([[0], np.cumsum(columns)]).astype(np.int64)
+    first = first_columns(walls)
     count = first[-1]
     before = Foreground(
         first, np.full(count, HEIGHT_M), np.zeros(count), np.zeros((count, 60), bool)
@@ -82,10 +93,10 @@ def test_windows_are_distinguished_from_open_doors(
 ) -> None:
     scans, features = seen(hole)
     walls = fuse_walls(features, SETTINGS)
-    faces = traced(walls, trace_rays(walls, [features], SETTINGS))
-    found_doors = doors_in(faces, RULES)
+    openings = openings_of(walls, features)
+    found_doors = doors_of(openings, SETTINGS)
     assert len(found_doors) == doors
-    found = find_windows(faces, RULES, WindowsSettings())
+    found = windows_of(openings)
     assert len(found) == windows
     if hole is not None:
         np.testing.assert_allclose(np.sort(found.ends[0, :, 0]), [hole.x0, hole.x1], atol=0.12)
@@ -93,7 +104,7 @@ def test_windows_are_distinguished_from_open_doors(
         placed, _, labelling = scans[14]
         points, final = relabelled(placed, labelling, walls, found_doors, found)
         assert np.mean(final[points[:, 1] > 2.5] == Label.OUTSIDE) > 0.99
-        assert not np.any(final[points[:, 1] < 2.1] == Label.OUTSIDE)
+        assert not np.any(final[points[:, 1] < 2.09] == Label.OUTSIDE)  # the pane is at 2.1
 
 
 @pytest.mark.parametrize("depth", [0.05, None])
@@ -103,8 +114,8 @@ def test_the_building_has_its_walls_and_its_door(depth: float | None) -> None:
     walls = fuse_walls(features, SETTINGS)
     feet = np.round(walls.normal * np.sum(walls.normal * walls.ends[:, 0], axis=1)[:, None], 1)
     assert {(0.0, 2.0), (0.0, -1.5)} <= set(map(tuple, feet + 0.0))
-    cells = trace_rays(walls, [features], SETTINGS)
-    doors = doors_in(traced(walls, cells), RULES)
+    openings = openings_of(walls, features)
+    doors = doors_of(openings, SETTINGS)
     assert doors.state.tolist() == [DoorState.OPEN if depth is None else DoorState.CLOSED]
     np.testing.assert_allclose(doors.ends[0].mean(axis=0), [-0.05, 2.0], atol=0.1)
     exact = place_frames(doors, walls, [features], SETTINGS, FRAMES)
@@ -126,7 +137,7 @@ def test_the_building_has_its_walls_and_its_door(depth: float | None) -> None:
         assert kept.scan_count[0] > 0
     # The wall has no thickness here: its lintel's underside is the edge's scatter.
     assert measure_reveals(doors, [features], FRAMES).reveal_m[0] < 0.1
-    windows = find_windows(traced(walls, cells), RULES, WindowsSettings())
+    windows = windows_of(openings)
     assert len(windows) == 0
     if depth is not None:
         placed, truth, found = scans[14]
@@ -138,7 +149,7 @@ def test_the_building_has_its_walls_and_its_door(depth: float | None) -> None:
     depth_m = door_depths(doors, walls, parts, thickness, SETTINGS.reveal_m, doors.reveal_m)
     doors = replace(doors, reveal_m=depth_m)
     drive = Drive(np.array([[-1.0, 0.0], [1.5, 0.0]]), lambda: [features])
-    of_both = trace_rays(both_sides(walls), [features], SETTINGS)
+    of_both = traced_by(both_sides(walls), features)
     immobile = Immobile(walls, of_both, VoxelTable(0.05, len(Label)).votes(), doors, windows)
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), thickness, SETTINGS.knee_m)
 
@@ -206,8 +217,9 @@ def test_a_scans_own_plane_is_used_only_where_the_scan_saw_it(
     ends, normal = np.array([[[0.0, 2.0], [6.0, 2.0]]]), np.array([[0.0, -1.0]])
     ones = np.ones(1, np.int32)
     wall = Walls(ends, normal, np.zeros(1), np.full(1, 2.8), ones, np.zeros(1), 900 * ones)
-    counts = trace_rays(wall, [features], SETTINGS).counts
-    filled, total = counts[..., 0].sum(axis=1), counts[..., 1].sum(axis=1)
+    evidence = traced_by(wall, features)
+    filled = evidence.ended[..., : RECESS + 1].sum(axis=(1, 2))
+    total = evidence.depth_sum[..., : RECESS + 1].sum(axis=(1, 2))
     mean_m = np.divide(total, filled, out=np.zeros_like(total), where=filled > 0)
     assert filled[50:].sum() > 30
     np.testing.assert_allclose(mean_m[50:], 0.0, atol=1e-6)

@@ -10,11 +10,9 @@ from ffmap.algorithms.building.face_alignment import (
     FaceAlignmentSettings,
     align_faces,
 )
-from ffmap.algorithms.building.face_columns import Storey
-from ffmap.algorithms.building.face_steps import FaceStepsSettings
-from ffmap.algorithms.building.face_verdicts import StandingWallsSettings
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls
+from ffmap.algorithms.building.storey import Storey
 from ffmap.algorithms.building.votes import VoxelVotes
 from tests.voting import vote
 
@@ -23,7 +21,7 @@ TURNS = [0.0, 31.0, 90.0, 203.0]
 
 def aligned_by(walls: Walls, votes: VoxelVotes) -> AlignedFaces:
     storey = Storey.of(votes, (), LevelsSettings())
-    return align_faces(walls, votes, storey, StandingWallsSettings(), FaceAlignmentSettings(), FaceStepsSettings())
+    return align_faces(walls, votes, storey, FaceAlignmentSettings())
 
 
 def turned(places: FloatArray, turn_deg: float) -> FloatArray:

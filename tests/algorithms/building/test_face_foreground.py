@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from ffmap.algorithms.building.face_columns import Storey, TracedFaces
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.building.evidence import BEFORE, BEYOND, FAR, LAYERS_M, Evidence
 from ffmap.algorithms.building.face_foreground import (
     Foreground,
     ForegroundSettings,
@@ -14,8 +15,8 @@ from ffmap.algorithms.building.face_foreground import (
     find_foreground,
 )
 from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Doors, Walls
-from ffmap.algorithms.building.ray_evidence import WallCells
 from ffmap.algorithms.scan.doors import DoorState
+from tests.faces import traced
 
 CEILING_M = 2.8
 LENGTH_M = 6.0
@@ -30,14 +31,28 @@ FACE = Walls(
     np.array([900]),
 )
 FLAT = (0.0, 0.0)
-GROUND = Storey(np.zeros((9, 3)), np.zeros((0, 3)))
 
 
-def foreground(counts: np.ndarray, ceiling_m: float = CEILING_M, doors: Doors = NO_DOORS) -> Foreground:
-    """Of the one face, with counts (c, rows, 4) of its cells."""
+def evidence_of(counts: FloatArray) -> Evidence:
+    """Of one face, by counts (c, rows, 3) of its cells, each in the layer of its mean distance.
+
+    Counts: returns, and sums of their distances before the face and of squares of these.
+    """
     columns, rows = counts.shape[:2]
-    cells = WallCells(np.array([0, columns]), rows, counts)
-    return find_foreground(TracedFaces(FACE, cells, np.full(columns, ceiling_m), np.zeros(columns)), doors, 2.12, SETTINGS)
+    mean_m = counts[..., 1] / np.maximum(counts[..., 0], 1.0)
+    layer = np.clip(np.digitize(mean_m, LAYERS_M[1:]), BEFORE, FAR)
+    own = (np.arange(BEYOND) == layer[..., None]).astype(np.float32)
+    ended, *sums = (own * counts[..., [k]] for k in range(3))
+    ended = np.concatenate([ended, np.zeros((columns, rows, 1), np.float32)], axis=-1)
+    return Evidence(np.array([0, columns]), ended, *sums, np.zeros((0, rows, 8, 2), np.float32))
+
+
+def foreground(
+    counts: FloatArray, ceiling_m: float = CEILING_M, doors: Doors = NO_DOORS
+) -> Foreground:
+    """Of the one face, with counts (c, rows, 3) of its cells."""
+    faces = traced(FACE, evidence_of(counts), ceiling_m)
+    return find_foreground(faces, doors, SETTINGS)
 
 
 def relief(
@@ -48,7 +63,7 @@ def relief(
     outline: int = 0,
     ceiling_m: float = CEILING_M,
     doors: Doors = NO_DOORS,
-) -> np.ndarray:
+) -> FloatArray:
     """The cells that are covered where something stands so far before a face that leans from its wall at its ends.
 
     outline: so many cells around it may be covered as well. ceiling_m: up to there the face returns.
@@ -58,7 +73,7 @@ def relief(
     before_m = np.interp(x, [0, LENGTH_M], wall_m)[:, None] + np.zeros((columns, rows))
     thing = ((x > x_m[0]) & (x < x_m[1]))[:, None] & (z > z_m[0]) & (z < z_m[1])
     before_m = before_m + depth_m * thing + np.random.default_rng(3).normal(0, 0.003, before_m.shape)
-    counts = np.zeros((columns, rows, 4), np.float32)
+    counts = np.zeros((columns, rows, 3), np.float32)
     counts[..., 0] = 40.0 * (z < ceiling_m)
     counts[..., 1] = counts[..., 0] * before_m
     covered = foreground(counts, ceiling_m, doors).covered
@@ -117,7 +132,7 @@ def test_the_casing_of_a_doorway_is_wall_and_a_shelf_as_large_is_not() -> None:
     before_m = np.random.default_rng(3).normal(0, 0.003, (columns, rows))
     before_m[20:40, :42], before_m[70:90, :42] = 0.02, 0.02
     before_m[22:38, :40] = -0.03
-    counts = np.zeros((columns, rows, 4), np.float32)
+    counts = np.zeros((columns, rows, 3), np.float32)
     counts[..., 0] = 40.0 * ((np.arange(rows) + 0.5) * CELL_M < CEILING_M)
     counts[..., 1] = counts[..., 0] * before_m
     covered = foreground(counts).covered
@@ -130,8 +145,8 @@ def test_a_wall_that_leans_is_no_relief_but_a_step_on_it_is() -> None:
     columns, rows = round(LENGTH_M / CELL_M), 60
     z = (np.arange(rows) + 0.5) * CELL_M
 
-    def covered(before_m: np.ndarray) -> np.ndarray:
-        counts = np.zeros((columns, rows, 4), np.float32)
+    def covered(before_m: FloatArray) -> FloatArray:
+        counts = np.zeros((columns, rows, 3), np.float32)
         counts[..., 0] = 40.0 * (z < CEILING_M)
         counts[..., 1] = counts[..., 0] * before_m
         return np.asarray(foreground(counts).covered)
@@ -147,7 +162,7 @@ def test_a_wall_that_leans_is_no_relief_but_a_step_on_it_is() -> None:
 
 def test_a_shelf_is_one_thing_though_its_boards_hide_parts_of_its_back() -> None:
     columns, rows = round(LENGTH_M / CELL_M), 60
-    counts = np.zeros((columns, rows, 4), np.float32)
+    counts = np.zeros((columns, rows, 3), np.float32)
     counts[:, :56, 0] = 40.0
     counts[20:40, 0:32, 1] = 40.0 * 0.03
     counts[20:40, 10:15] = 0.0
@@ -155,7 +170,7 @@ def test_a_shelf_is_one_thing_though_its_boards_hide_parts_of_its_back() -> None
     assert before.covered[20:40, 15:32].all()
 
 
-def sparse(low: int, high: int, depth_m: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def sparse(low: int, high: int, depth_m: float, share: float = 1.0) -> tuple[FloatArray, FloatArray]:
     """What is covered where two returns a cell tell of a wall, and of a thing before it in columns low to high, 1.6 m high.
 
     share: of the thing's returns so many, spread evenly, are its own; the others are the wall's.
@@ -165,7 +180,7 @@ def sparse(low: int, high: int, depth_m: float, share: float = 1.0) -> tuple[np.
     before_m = generator.normal(0, 0.01, (columns, rows, 2))
     own = generator.uniform(size=(high - low, 32, 2)) < share
     before_m[low:high, :32] += depth_m * own
-    counts = np.zeros((columns, rows, 4), np.float32)
+    counts = np.zeros((columns, rows, 3), np.float32)
     counts[:, :56, 0] = 2.0
     counts[:, :56, 1], counts[:, :56, 2] = before_m[:, :56].sum(axis=2), (before_m[:, :56] ** 2).sum(axis=2)
     covered = foreground(counts).covered
@@ -184,7 +199,7 @@ def test_few_returns_tell_together() -> None:
 
 def test_the_reveal_of_a_high_window_is_not_the_wall_that_relief_is_measured_from() -> None:
     columns, rows = round(LENGTH_M / CELL_M), 60
-    counts = np.zeros((columns, rows, 4), np.float32)
+    counts = np.zeros((columns, rows, 3), np.float32)
     counts[:, :56, 0] = 40.0
     counts[40:70, 18:47, 1] = -40.0 * 0.1
     # Curtains hide the wall beside its head.
@@ -193,7 +208,7 @@ def test_the_reveal_of_a_high_window_is_not_the_wall_that_relief_is_measured_fro
 
 
 def test_covered_places_lie_on_their_face_above_its_floor() -> None:
-    before = replace(foreground(np.zeros((120, 60, 4), np.float32)), ground_m=np.full(120, 0.6))
+    before = replace(foreground(np.zeros((120, 60, 3), np.float32)), ground_m=np.full(120, 0.6))
     before.covered[:80, : round(1.0 / CELL_M)] = True
     places = covered_places(FACE, before)
     assert len(places) == 80 * 20

@@ -1,7 +1,6 @@
 """The building of all scans, from planes and rays that are known."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,67 +9,39 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building import fusion
-from ffmap.algorithms.building.blinds import BlindsSettings
-from ffmap.algorithms.building.door_casings import DoorCasingsSettings
-from ffmap.algorithms.building.door_contrasts import DoorContrastsSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
-from ffmap.algorithms.building.door_outlines import DoorOutlinesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
 from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
-from ffmap.algorithms.building.face_columns import FaceColumnsSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
-from ffmap.algorithms.building.face_steps import FaceStepsSettings
-from ffmap.algorithms.building.face_verdicts import (
-    FaceVerdict,
-    JudgedFaces,
-    StandingWallsSettings,
-    judge_faces,
-)
 from ffmap.algorithms.building.final_labels import RelabellingSettings
-from ffmap.algorithms.building.folds import FoldsSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
-from ffmap.algorithms.building.glass_fronts import GlassFrontsSettings
 from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
-from ffmap.algorithms.building.missed_walls import (
-    MissedWalls,
-    MissedWallsSettings,
-    find_missed_walls,
-)
-from ffmap.algorithms.building.model import BuildingSettings, Mullions, Walls, Windows
-from ffmap.algorithms.building.openings import OpeningRules, OpeningsSettings
-from ffmap.algorithms.building.ray_evidence import THROUGH
+from ffmap.algorithms.building.model import BuildingSettings, Walls
+from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
+from ffmap.algorithms.building.unseen_walls import UnseenWallsSettings
+from ffmap.algorithms.building.verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.votes import VoxelTable
-from ffmap.algorithms.building.windows import WindowsSettings
 from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
 from tests.faces import window
-from tests.tracing import tracing
+from tests.tracing import traced_by, tracing
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 from tests.voting import vote
 
 SETTINGS = FusionSettings(
     BuildingSettings(),
     LevelsSettings(),
-    FaceColumnsSettings(),
     FaceAlignmentSettings(),
-    FaceStepsSettings(),
+    ParseSettings(),
     StandingWallsSettings(),
-    FoldsSettings(),
-    MissedWallsSettings(),
+    UnseenWallsSettings(),
     LowWallsSettings(),
     ForegroundSettings(),
-    OpeningsSettings(),
-    WindowsSettings(),
-    BlindsSettings(),
-    GlassFrontsSettings(),
-    DoorCasingsSettings(),
-    DoorContrastsSettings(),
-    DoorOutlinesSettings(),
     DoorFramesSettings(),
     WallThicknessSettings(),
     HaloSettings(),
@@ -106,7 +77,13 @@ def with_planes(features: Features, walls: Walls) -> Features:
 def face(ends: list[list[float]], normal: list[float]) -> Walls:
     one = np.ones(1)
     return Walls(
-        np.array([ends]), np.array([normal]), 0 * one, 2.6 * one, np.array([5], np.int32), 0.01 * one, 900 * one
+        np.array([ends]),
+        np.array([normal]),
+        0 * one,
+        2.6 * one,
+        np.array([5], np.int32),
+        0.01 * one,
+        900 * one,
     )
 
 
@@ -125,6 +102,7 @@ def driven(rooms: TwoRooms, *more: Walls) -> AllScans:
         votes=vote(features.ray_end_map, features.ray_label, len(Label), 0.05),
         rivals=VoxelTable(GridMapSettings().cell_m, len(Rival)).votes(),
         trace=tracing(features),
+        trace_within=lambda openings: traced_by(openings, features, at_ends=True),
         levels_settings=SETTINGS.levels,
     )
 
@@ -154,7 +132,7 @@ def test_what_rays_pass_above_is_no_wall() -> None:
     assert not np.any(np.abs(building.model.walls.ends[..., 0] - 3.0) < 0.5)
 
 
-@pytest.mark.parametrize(("thickness_m", "is_wall"), [(0.14, True), (0.5, False)])
+@pytest.mark.parametrize(("thickness_m", "is_wall"), [(0.14, True), (0.3, False)])
 def test_what_shows_both_sides_a_walls_thickness_apart_is_a_wall_though_rays_pass_above_it(
     thickness_m: float, is_wall: bool
 ) -> None:
@@ -173,27 +151,8 @@ def test_what_shows_both_sides_a_walls_thickness_apart_is_a_wall_though_rays_pas
     assert len(building.thickness_m) == len(model.walls) == len(first) - 1
     for w in np.flatnonzero(model.walls.top_m < 1.5):
         np.testing.assert_array_equal(clear_m[first[w] : first[w + 1]], model.walls.top_m[w])
-    np.testing.assert_allclose(building.thickness_m[model.walls.top_m < 1.5], thickness_m if is_wall else 0.0, atol=0.02)
-
-
-def test_what_few_scans_saw_as_a_plane_is_asked_again_of_all_returns_unless_it_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
-    alone, low = face([[2.0, 1.0], [2.8, 1.6]], [-0.6, 0.8]), face([[1.0, 1.0], [1.8, 1.6]], [-0.6, 0.8])
-    hangs = replace(low, bottom_m=np.array([2.2]))
-    asked: list[Walls] = []
-
-    def judge(*faces_and_rules: Any) -> JudgedFaces:
-        judged = judge_faces(*faces_and_rules).refuse(alone.append(hangs), FaceVerdict.ALONE)
-        return judged.refuse(low, FaceVerdict.ENDS_LOW)
-
-    def find(walls: Walls, refused: Walls, *more: Any) -> MissedWalls:
-        asked.append(refused)
-        return find_missed_walls(walls, refused, *more)
-
-    monkeypatch.setattr(fusion, "judge_faces", judge)
-    monkeypatch.setattr(fusion, "find_missed_walls", find)
-    building = built(TwoRooms())
-    assert len(building.model.judged.refused) == 3
-    np.testing.assert_array_equal(asked[0].ends, hangs.append(low).ends)
+    measured_m = building.thickness_m[model.walls.top_m < 1.5]
+    np.testing.assert_allclose(measured_m, thickness_m if is_wall else 0.0, atol=0.02)
 
 
 def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:
@@ -205,25 +164,12 @@ def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:
         assert np.all(faces.ends[..., 1] > -0.2)
 
 
-def test_labels_know_the_mullions_which_all_rays_tell(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those that ended beyond a window too."""
-    known = Mullions(np.array([[[1.0, 0.0], [1.1, 0.0]]]), np.array([[0.0, 1.0]]), np.zeros(1), np.full(1, 2.6), np.full(1, 0.1))
-    passed: list[float] = []
-
-    def find(windows: Windows, trace: Any, rules: OpeningRules) -> Mullions:
-        seen = trace(face(windows.ends[0].tolist(), windows.normal[0].tolist()), rules.building)
-        passed.append(float(seen.counts[..., THROUGH].sum()))
-        return known
-
-    monkeypatch.setattr(fusion, "find_mullions", find)
-    assert built(TwoRooms(glass=(0.9, 2.1)), face([[0.0, -2.0], [3.0, -2.0]], [0.0, 1.0])).model.mullions is known
-    assert passed[0] > 100.0
-
-
 @pytest.mark.parametrize("closed", [False, True])
-def test_a_pane_at_an_open_doorway_is_its_leafs_and_no_window(closed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pane_at_an_open_doorway_is_its_leafs_and_no_window(
+    closed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     x, y = JAMBS_X[0], SIZE_M[1]
     pane = replace(window((x, y - 0.8), (x, y - 0.2)), normal=np.array([[1.0, 0.0]]))
-    monkeypatch.setattr(fusion, "find_glass_fronts", lambda *_: pane)
+    monkeypatch.setattr(fusion, "fronts_of", lambda _: pane)
     building = built(TwoRooms(closed=closed))
     assert (len(building.model.windows), len(building.model.leaf_panes)) == ((1, 0) if closed else (0, 1))

@@ -9,7 +9,6 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Walls, Windows
-from ffmap.algorithms.building.ray_evidence import trace_rays
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps import free_space
 from ffmap.algorithms.maps.free_space import draw_free
@@ -22,6 +21,7 @@ from ffmap.algorithms.maps.furniture_free import (
 from ffmap.algorithms.maps.grid import Cell, GridMap, GridMapSettings
 from ffmap.algorithms.truth.maps import blocked_doors
 from tests.drawing import draw_cells, draw_furniture_free
+from tests.tracing import traced_by
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms, without
 
 KNEE_M = BuildingSettings().knee_m
@@ -54,8 +54,8 @@ def with_walls(
 ) -> tuple[Immobile, Drive]:
     """The rooms, of which other faces were detected."""
     immobile, drive = rooms.build(windows=windows)
-    cells = trace_rays(both_sides(walls), [rooms.scans()], BuildingSettings())
-    return replace(immobile, walls=walls, cells=cells), drive
+    evidence = traced_by(both_sides(walls), rooms.scans())
+    return replace(immobile, walls=walls, evidence=evidence), drive
 
 
 def with_face(
@@ -280,9 +280,9 @@ def test_nothing_gives_an_unknown_map() -> None:
     rooms = TwoRooms()
     immobile, _ = rooms.build(without(rooms.doors))
     walls = immobile.walls.select(np.zeros(0, int))
-    cells = trace_rays(both_sides(walls), [], BuildingSettings())
+    evidence = traced_by(both_sides(walls))
     nowhere = Drive(np.zeros((0, 3)), list)
-    assert (draw(replace(immobile, walls=walls, cells=cells), nowhere).cells == Cell.UNKNOWN).all()
+    assert (draw(replace(immobile, walls=walls, evidence=evidence), nowhere).cells == Cell.UNKNOWN).all()
     empty = draw_cells(np.zeros((0, 2), int), NO_WINDOWS, nowhere, SETTINGS, KNEE_M)
     assert (empty.cells == Cell.UNKNOWN).all()
 

@@ -1,0 +1,120 @@
+"""Walls that no scan shows as a plane: lines in the voxels of all scans, and which of them stand."""
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.base.labels import Label
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import lengths_m, segments
+from ffmap.algorithms.building.evidence import BEYOND, ON
+from ffmap.algorithms.building.levels import LevelsSettings
+from ffmap.algorithms.building.model import NO_WALLS, Walls
+from ffmap.algorithms.building.parse import ParseSettings
+from ffmap.algorithms.building.settle import ParsedFaces
+from ffmap.algorithms.building.storey import Storey, TracedFaces
+from ffmap.algorithms.building.unseen_walls import (
+    UnseenWallsSettings,
+    find_unseen_walls,
+    lines_of_any_direction,
+    straight_lines,
+)
+from ffmap.algorithms.building.votes import VoxelVotes
+from tests.faces import CEILING_M, faces
+from tests.painted import Painted, evidence_of
+from tests.voting import vote
+
+SETTINGS = UnseenWallsSettings()
+KNOWN = faces(((-1.0, 0.0), (5.0, 0.0)))
+
+
+def columns(start: tuple[float, float], stop: tuple[float, float], seed: int = 0) -> FloatArray:
+    """(n, 2) columns of returns, 5 cm apart, on a line with a centimetre of noise."""
+    count = int(np.hypot(*np.subtract(stop, start)) / 0.05)
+    on = np.linspace(start, stop, count)
+    return on + np.random.default_rng(seed).normal(0.0, 0.008, on.shape)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 17.0, 63.0])
+def test_lines_along_the_walls_are_found_strongest_first(turn_deg: float) -> None:
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    turn = np.array([[c, s], [-s, c]])
+    stray = np.random.default_rng(1).uniform(0.0, 3.0, (15, 2))
+    place = [columns((3.0, 0.5), (3.0, 2.0)), columns((0.0, 2.5), (2.5, 2.5), seed=2), stray]
+    weight = np.full(sum(map(len, place)), 9.0)
+    lines = straight_lines(np.concatenate(place) @ turn, weight, np.eye(2) @ turn, 0.04, 0.6)
+    ends = np.array([ends for ends, _ in lines[:2]]) @ turn.T
+    expected = [[[0.0, 2.5], [2.5, 2.5]], [[3.0, 0.5], [3.0, 2.0]]]
+    np.testing.assert_allclose(np.sort(ends, axis=1), expected, atol=0.06)
+    np.testing.assert_allclose([ends[0, :, 1] - 2.5, ends[1, :, 0] - 3.0], 0.0, atol=0.01)
+
+
+def test_a_straight_line_has_no_gap_longer_than_a_walls() -> None:
+    place = np.concatenate([columns((0.0, 0.0), (2.0, 0.0)), columns((3.0, 0.0), (4.0, 0.0))])
+    for gap_m, count in ((0.6, 2), (1.2, 1)):
+        found = straight_lines(place, np.full(len(place), 9.0), np.array([[0.0, 1.0]]), 0.04, gap_m)
+        assert len(found) == count
+    assert straight_lines(place, np.full(len(place), 9.0), np.zeros((0, 2)), 0.04, 0.6) == []
+
+
+def test_a_round_wall_is_found_as_chords_and_what_is_strewn_is_none() -> None:
+    angle = np.arange(-1.3, 1.3, 0.05 / 1.5)
+    arc = 1.5 * np.column_stack([np.cos(angle), np.sin(angle)])
+    arc += np.random.default_rng(0).normal(0.0, 0.004, arc.shape)
+    lines = lines_of_any_direction(arc, SETTINGS)
+    ends = np.array([ends for ends, _ in lines])
+    np.testing.assert_allclose(np.linalg.norm(ends.mean(axis=1), axis=1), 1.5, atol=0.05)
+    assert 0.6 < lengths_m(ends).sum() / (2.6 * 1.5) < 1.1
+    strewn = np.random.default_rng(0).uniform(0.0, 3.0, (60, 2))
+    for places in (strewn, strewn[:0]):
+        assert lines_of_any_direction(places, SETTINGS) == []
+
+
+def room(top_m: float = CEILING_M) -> VoxelVotes:
+    """Floor, ceiling, the known wall at y = 0, and clutter at x = 3 from y = 0.5 to 2."""
+    generator = np.random.default_rng(0)
+
+    def spread(low: tuple[float, ...], high: tuple[float, ...], count: int) -> FloatArray:
+        return generator.uniform(low, high, (count, 3)) + generator.normal(0, 0.008, (count, 3))
+
+    parts = [
+        (spread((-1, 0, 0), (5, 3, 0), 40_000), Label.FLOOR),
+        (spread((-1, 0, CEILING_M), (5, 3, CEILING_M), 40_000), Label.CEILING),
+        (spread((-1, 0, 0), (5, 0, CEILING_M), 9_000), Label.WALL),
+        (spread((3, 0.5, 0), (3, 2, top_m), 4_000), Label.CLUTTER),
+    ]
+    label = np.repeat([code for _, code in parts], [len(points) for points, _ in parts])
+    return vote(np.concatenate([points for points, _ in parts]), label, len(Label), 0.05)
+
+
+def found(top_m: float = CEILING_M, known: Walls = KNOWN, refused: Walls = NO_WALLS) -> Walls:
+    """Rays from smaller x end on what stands at x = 3 and pass above it, and all else."""
+    votes, storey = room(top_m), Storey.of(room(top_m), (), LevelsSettings())
+
+    def parse(lines: Walls) -> ParsedFaces:
+        painted = []
+        for face, normal in zip(segments(lines), lines.normal, strict=True):
+            own = Painted(int(np.ceil(face.length_m / 0.05)))
+            own.paint((0.0, 99.0), (0.0, CEILING_M), BEYOND)
+            if normal[0] < -0.9 and np.abs(face.start[0] - 3.0) < 0.03:
+                own.paint((0.0, 99.0), (0.0, top_m), ON)
+            painted.append(own)
+        traced = TracedFaces.of(lines, evidence_of(*painted), storey)
+        return ParsedFaces.of(traced, np.zeros((0, 2)), 0.1, ParseSettings())
+
+    rules = 0.6, 0.04, SETTINGS
+    return find_unseen_walls(known, refused, votes, storey, lambda lines: lines, parse, *rules)
+
+
+def test_a_wall_that_no_scan_alone_told_is_found_on_the_side_that_it_is_seen_from() -> None:
+    walls = found()
+    np.testing.assert_allclose(np.sort(walls.ends, axis=1), [[[3.0, 0.5], [3.0, 2.0]]], atol=0.1)
+    np.testing.assert_allclose(walls.normal[0], [-1.0, 0.0], atol=0.02)
+    assert walls.scan_count.tolist() == [0]
+
+
+def test_furniture_is_no_wall_nor_what_faces_explain() -> None:
+    assert len(found(top_m=1.9)) == 0
+    same = faces(((3.02, 0.5), (3.02, 2.0)))
+    assert len(found(refused=same)) == len(found(known=KNOWN.append(same))) == 0
+    # Between two walls that look at each other there is room.
+    assert len(found(known=KNOWN.append(faces(((2.8, 3.0), (2.8, 0.0)))))) == 0
