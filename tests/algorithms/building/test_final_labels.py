@@ -10,7 +10,6 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import index_near
 from ffmap.algorithms.building import final_labels
 from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
-from ffmap.algorithms.building.face_verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.building.final_labels import (
     ODDS_MAX,
     BuildingModel,
@@ -22,17 +21,16 @@ from ffmap.algorithms.building.model import (
     CELL_M,
     NO_BLINDS,
     NO_DOORS,
-    NO_MULLIONS,
     NO_WALLS,
     NO_WINDOWS,
     Blinds,
     Doors,
-    Mullions,
     Walls,
     Windows,
     one_door,
 )
 from ffmap.algorithms.building.panels import Kind
+from ffmap.algorithms.building.verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
 from ffmap.algorithms.scan.doors import DoorState
 
 SETTINGS = RelabellingSettings()
@@ -346,30 +344,6 @@ def test_outside_is_behind_a_pane_from_the_sensor() -> None:
 @pytest.mark.parametrize(
     ("point", "expected"),
     [
-        ((2.0, -0.07, 1.5), (Label.WALL, Kind.MULLION)),
-        ((2.5, -0.07, 1.5), NOTHING),
-        ((2.0, -0.25, 1.5), NOTHING),
-    ],
-)
-def test_a_mullion(point: Point, expected: tuple[Label, Kind]) -> None:
-    mullion = Mullions(
-        np.array([[[1.95, 0.0], [2.05, 0.0]]]),
-        TO_SENSOR,
-        np.array([0.1]),
-        np.array([2.7]),
-        np.array([0.08]),
-    )
-    assert final(point, Label.CLUTTER, windows=window(0.0), mullions=mullion) == expected
-    # Rays pass panes beside it, and what is between these.
-    panes = window(0.0, 1.0, 1.9).append(window(0.0, 2.1, 2.4))
-    aslant = {"sensor": np.array([0.0, -2.0, 1.0]), "windows": panes}
-    assert final((4.0, 2.0, 1.0), Label.WALL, **aslant) == NOTHING
-    assert final((4.0, 2.0, 1.0), Label.WALL, mullions=mullion, **aslant) == OUTSIDE
-
-
-@pytest.mark.parametrize(
-    ("point", "expected"),
-    [
         ((2.0, 0.2, 2.2), (Label.CLUTTER, Kind.BLIND)),
         ((2.0, 0.19, 2.6), OUTSIDE),  # above it
         ((2.0, 0.4, 2.2), OUTSIDE),
@@ -440,7 +414,6 @@ def test_an_empty_building_and_an_empty_scan() -> None:
         NO_WINDOWS,
         NO_BLINDS,
         (),
-        mullions=NO_MULLIONS,
     )
     assert len(relabelled(np.zeros((0, 3)), np.zeros(0, np.uint8), nothing).label) == 0
     found = relabelled(

@@ -15,7 +15,6 @@ from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
-from ffmap.algorithms.building.halo import HaloSettings
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
 from ffmap.algorithms.building.model import BuildingSettings, Walls
@@ -44,7 +43,6 @@ SETTINGS = FusionSettings(
     ForegroundSettings(),
     DoorFramesSettings(),
     WallThicknessSettings(),
-    HaloSettings(),
     RelabellingSettings(),
 )
 
