@@ -155,7 +155,8 @@ def _find_faces(
     judged = _judge(aligned, scans, settings, NO_WINDOWS)
     windows = windows_of(_openings(judged.walls, scans, settings))
     lines = _lines(judged.walls, judged.refused, scans, settings)
-    fronts = fronts_of(_openings(lines, scans, settings))
+    parsed = _parsed(_traced(lines, scans, NO_WINDOWS), scans, settings).gaps_as_panes()
+    fronts = fronts_of(find_openings(parsed, scans.trace_within))
     # Nobody glazes a wall: a sheet so close before one is the edges of a shelf's boards.
     middles, depth_m = fronts.ends.mean(axis=1), settings.unseen_walls.shelf_m
     shelves = near_a_face(middles, fronts.normal, judged.walls, 0.0, depth_m)

@@ -42,8 +42,9 @@ _PATCH = 4
 _PATCH_RAYS_MIN = 15
 """Least rays into a patch for a pane to show: glass returns every tenth, at a slant fewer."""
 _PANE_PATCHES_MIN, _PANE_SHARE_MAX = 0.9, 0.5
-_FRONT_MIN_M, _PURITY_MIN = 0.5, 0.7
-"""Least width (m) of a pane in no wall, and share of what returns near that it returned."""
+_FRONT_MIN_M, _FRONT_SHARE, _PURITY_MIN = 0.5, (0.01, 0.25), 0.7
+"""Least width (m) of a pane in no wall, share of the rays that it returns (a rack returns more), and
+least share of what returns near that it returned."""
 _AJAR_M = 0.1
 """Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
 _JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
@@ -70,6 +71,20 @@ class ParsedFaces:
             evidence = faces.evidence.ended[own], faces.evidence.depth_sum[own]
             found.append(parse_face(*evidence, top[own], driven[own], settings))
         return cls(faces, tuple(found))
+
+    def gaps_as_panes(self) -> "ParsedFaces":
+        """Take gaps for panes up to the ceiling, as which rays pass them: what they return tells."""
+        found = []
+        for w, stretches in enumerate(self.stretches):
+            top = (self.faces.top_m[self.faces.columns(w)] / CELL_M).astype(np.int64) - 2
+            own = []
+            for s in stretches:
+                if s.kind == Kind.GAP and (head := int(top[s.columns].min())) > FOOT_ROW:
+                    own.append(replace(s, kind=Kind.PANE, sill=FOOT_ROW, head=head, blind=head))
+                else:
+                    own.append(s)
+            found.append(own)
+        return ParsedFaces(self.faces, tuple(found))
 
     def with_panes_told(self, trace_within: Callable[[Walls], Evidence]) -> "ParsedFaces":
         """Openings down to the floor that no door is as wide as, or as high: panes, or what hangs.
@@ -358,6 +373,7 @@ def fronts_of(openings: Openings) -> Windows:
         for k, (own, sheet) in enumerate(zip(openings.stretch, openings.sheet, strict=True))
         if own.width_m >= _FRONT_MIN_M and _is_glass(sheet)
         if sheet is not None and sheet.purity >= _PURITY_MIN
+        if _FRONT_SHARE[0] <= sheet.share <= _FRONT_SHARE[1]
     ]
     pane_m = np.array([_pane_m(openings.sheet[k]) for k in chosen])
     ends, normal = openings.faces.ends[chosen], openings.faces.normal[chosen]
@@ -370,12 +386,23 @@ def fronts_of(openings: Openings) -> Windows:
     )
 
 
+def _is_open_as(window: Stretch, other: Stretch) -> bool:
+    """Whether a window is open in part, and as high as another."""
+    is_open = window.kind == Kind.WINDOW and window.blind - window.sill > 1
+    return is_open and abs(window.head - other.head) <= 2 and abs(window.sill - other.sill) <= 2
+
+
 def blinds_of(openings: Openings) -> Blinds:
-    """What hangs in windows and closes them, or their upper part."""
+    """What hangs in windows and closes them, or their upper part.
+
+    A recess that is closed all over is a niche, but for one beside an open window as high as it.
+    """
+    windows = list(zip(openings.wall, openings.stretch, strict=True))
     chosen = [
         k
-        for k, own in enumerate(openings.stretch)
-        if own.kind in (Kind.WINDOW, Kind.PANE) and own.blind < own.head
+        for k, (w, own) in enumerate(windows)
+        if own.kind == Kind.WINDOW and own.blind < own.head
+        if any(w == other and _is_open_as(s, own) for other, s in windows)
     ]
     behind_m = []
     for k in chosen:
