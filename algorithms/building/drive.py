@@ -48,13 +48,17 @@ class TraceOnce:
             for ends, normal in zip(walls.ends, walls.normal, strict=True)
         ]
         new = np.array([key not in known or known[key].rows < rows for key in keys], bool)
-        if new.any():
-            # As high as the highest face that is asked for, which may be another.
-            as_high = replace(walls, top_m=np.full(len(walls), walls.top_m.max()))
-            found = self._trace(as_high.select(new), through)
-            for own, key in enumerate(np.array(keys, object)[new]):
-                known[key] = found.of(own)
-        return joined([known[key] for key in keys], rows)
+        if not new.any():
+            return joined([known[key] for key in keys], rows)
+        # As high as the highest face that is asked for, which may be another.
+        as_high = replace(walls, top_m=np.full(len(walls), walls.top_m.max()))
+        found = self._trace(as_high.select(new), through)
+        if new.all() and not walls.scan_count.any():
+            return found  # Lines that no scan saw as a plane are many, and asked for once or twice.
+        traced = {key: found.of(own) for own, key in enumerate(np.array(keys, object)[new])}
+        faces = [traced[key] if key in traced else known[key] for key in keys]
+        known |= traced
+        return joined(faces, rows)
 
 
 def new_views(T_map_base: FloatArray, lidar: IntArray) -> BoolArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import moved
-from ffmap.algorithms.building.evidence import BEYOND, FAR, FOOT_ROW, ON, RECESS, Evidence
+from ffmap.algorithms.building.evidence import BEYOND, FAR, FOOT_ROW, LAYERS_M, ON, RECESS, Evidence
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -47,6 +47,8 @@ _FRONT_MIN_M, _FRONT_SHARE, _PURITY_MIN = 0.5, (0.01, 0.25), 0.7
 least share of what returns near that it returned."""
 _AJAR_M = 0.1
 """Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
+_SILL_SEEN_M = 0.7
+"""Height (m) up to which a sill has to show."""
 _JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
 """Least share, and number of columns, of a face that is wall down to the floor: what is open below all along hangs."""
 
@@ -166,8 +168,10 @@ def mostly_stands(parsed: ParsedFaces) -> BoolArray:
 
 def has_jambs(stretches: list[Stretch], first: int, after: int, ended: FloatArray) -> bool:
     """Whether enough of some columns of a face is wall that rays end on, down to the floor."""
-    walls = [s for s in stretches if first <= s.first < after and s.kind == Kind.WALL]
-    on = sum(int((ended[s.columns, :, ON].sum(axis=1) > 0).sum()) for s in walls)
+    # A window's sill is wall down to the floor, too.
+    below = {Kind.WALL: slice(None), Kind.WINDOW: slice(FOOT_ROW, cells_in(_SILL_SEEN_M))}
+    own = [s for s in stretches if first <= s.first < after and s.kind in below]
+    on = sum(int((ended[s.columns, below[s.kind], ON].sum(axis=1) > 0).sum()) for s in own)
     return on >= max(_JAMBS_MIN * (after - first), _JAMB_COLUMNS)
 
 
@@ -203,6 +207,8 @@ def find_sheet(ended: FloatArray, depth_sum: FloatArray) -> Sheet | None:
     within = total[np.searchsorted(known, known + _SHEET_M, "right")]
     within -= total[np.searchsorted(known, known - _SHEET_M, "left")]
     middle_m = known[np.argmax(within)]
+    if middle_m > -LAYERS_M[BEYOND] - 2.0 * _SHEET_M:
+        return None  # a wall behind, of which few returns are as near as depths are booked
     on_sheet = met & (np.abs(depth_m - middle_m) <= _SHEET_M)
     returned = (layers * on_sheet).sum(axis=-1)
     behind_m = -float(depth_sum[..., ON:BEYOND][on_sheet].sum() / layers[on_sheet].sum())
