@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ffmap.algorithms.building.evidence import BEYOND, DEEP, ON, RECESS
+from ffmap.algorithms.building.evidence import BEYOND, DEEP, FAR, ON, RECESS
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings
 from ffmap.algorithms.building.parse import OPENINGS, ParseSettings
 from ffmap.algorithms.building.settle import (
@@ -50,6 +50,11 @@ def test_a_wall_stands_with_its_doors_and_windows() -> None:
     found = judged(wall(6.0).paint(DOOR, DOOR_M, BEYOND).paint((4.0, 5.0), WINDOW_M, BEYOND))
     np.testing.assert_allclose(found.walls.ends, [[[0.0, 0.0], [6.0, 0.0]]])
     assert len(found.refused) == 0
+
+
+def test_a_wall_with_windows_all_along_stands_on_its_sill_below_its_lintel() -> None:
+    found = judged(wall(2.2).paint((0.0, 2.2), (1.3, 1.95), BEYOND))
+    np.testing.assert_allclose(found.walls.ends, [[[0.0, 0.0], [2.2, 0.0]]])
 
 
 def test_what_hides_a_wall_over_less_than_a_gap_does_not_part_it_and_what_passes_it_does() -> None:
@@ -134,6 +139,15 @@ def test_a_pane_in_a_doorway_is_a_glazed_door_and_a_window() -> None:
     assert glazed_doors_of(found, SETTINGS).depth_m == pytest.approx(0.2)
     assert windows_of(found).pane_m == pytest.approx(0.2)
     np.testing.assert_allclose(fronts_of(found).ends[0, :, 1], -0.2, atol=1e-6)
+
+
+def test_a_wall_as_far_behind_as_depths_are_booked_is_no_pane() -> None:
+    """Of its returns a few end in the last layer, and most beyond."""
+    face = wall(5.0).paint(DOOR, DOOR_M, BEYOND, rays=20.0)
+    face.ended[40:58, :42, FAR], face.depth_sum[40:58, :42, FAR] = 1.0, -0.997
+    found = opened(face)
+    assert doors_of(found, SETTINGS).state.tolist() == [DoorState.OPEN]
+    assert len(windows_of(found)) == len(fronts_of(found)) == 0
 
 
 def test_windows_have_a_sill_and_blinds_close_their_upper_part() -> None:

@@ -86,8 +86,16 @@ def room(top_m: float = CEILING_M) -> VoxelVotes:
     return vote(np.concatenate([points for points, _ in parts]), label, len(Label), 0.05)
 
 
-def found(top_m: float = CEILING_M, known: Walls = KNOWN, refused: Walls = NO_WALLS) -> Walls:
-    """Rays from smaller x end on what stands at x = 3 and pass above it, and all else."""
+def found(
+    top_m: float = CEILING_M,
+    known: Walls = KNOWN,
+    refused: Walls = NO_WALLS,
+    seen_m: float = CEILING_M,
+) -> Walls:
+    """Rays from smaller x end on what stands at x = 3 and pass above it, and all else.
+
+    seen_m: above it no ray comes to x = 3.
+    """
     votes, storey = room(top_m), Storey.of(room(top_m), (), LevelsSettings())
 
     def parse(lines: Walls) -> ParsedFaces:
@@ -97,6 +105,7 @@ def found(top_m: float = CEILING_M, known: Walls = KNOWN, refused: Walls = NO_WA
             own.paint((0.0, 99.0), (0.0, CEILING_M), BEYOND)
             if normal[0] < -0.9 and np.abs(face.start[0] - 3.0) < 0.03:
                 own.paint((0.0, 99.0), (0.0, top_m), ON)
+                own.paint((0.0, 99.0), (seen_m, 3.0), ON, rays=0.0)
             painted.append(own)
         traced = TracedFaces.of(lines, evidence_of(*painted), storey)
         return ParsedFaces.of(traced, np.zeros((0, 2)), 0.1, ParseSettings())
@@ -118,3 +127,12 @@ def test_furniture_is_no_wall_nor_what_faces_explain() -> None:
     assert len(found(refused=same)) == len(found(known=KNOWN.append(same))) == 0
     # Between two walls that look at each other there is room.
     assert len(found(known=KNOWN.append(faces(((2.8, 3.0), (2.8, 0.0)))))) == 0
+
+
+def test_an_unseen_wall_is_as_high_as_its_returns() -> None:
+    assert found().top_m == pytest.approx(CEILING_M, abs=0.1)
+
+
+@pytest.mark.parametrize(("seen_m", "count"), [(2.1, 0), (2.4, 1)])
+def test_what_shows_no_higher_than_heads_is_a_leaf_or_a_reveal(seen_m: float, count: int) -> None:
+    assert len(found(seen_m=seen_m)) == count
