@@ -159,7 +159,8 @@ class Stretch:
 
     first, after: its first column and the one after its last. sill, head: rows below and from
     which it is another material: see `Kind`. blind: the row from which, up to the head, something
-    closes a window; the head where nothing does. odds: nats against the next best kind, second.
+    closes a window; the head where nothing does. odds: nats against the next best kind, second; of
+    a wall, against what is no wall.
     """
 
     kind: Kind
@@ -509,7 +510,9 @@ def _parse(
         most, second = -np.inf, wall
         for other in range(kinds):
             its = simple[other] if other < doorway else score[other - 3]
-            if other != k and its > most:
+            # A wall's openings are its own: what it competes with is what is no wall.
+            of_wall = k == wall and doorway <= other < low
+            if other != k and not of_wall and its > most:
                 most, second = its, other
         found[count, :3] = i, j, k
         found[count, 3:6], found[count, 6] = bands[j, k], second

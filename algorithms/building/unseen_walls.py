@@ -6,6 +6,7 @@ show itself as a wall where a face that scans saw as a plane may stay hidden.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -21,12 +22,14 @@ from ffmap.algorithms.building.evidence import ON
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, cells_in
 from ffmap.algorithms.building.parse import DOORS, OF_WALLS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, has_jambs, standing
-from ffmap.algorithms.building.storey import CEILING_NEAR_M, Storey
+from ffmap.algorithms.building.storey import CEILING_NEAR_M, Storey, TracedFaces
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY, wall_directions
 from ffmap.algorithms.building.votes import VoxelVotes
 
 Line = tuple[FloatArray, FloatArray]
 """Ends (2, 2) and normal (2,)."""
+_ROW_RETURNS_MIN = 2
+"""Least returns of a row of cells that show how high a line stands."""
 _TRACED_TO_M = 4.0
 """Height up to which rays are counted against lines, of whose tops nothing is known yet."""
 
@@ -134,8 +137,24 @@ def _walls_of(
         is_free = seen[first:after].mean() > 0.5 and 2 * open_columns < after - first
         if shows and is_free and has_jambs(stretches, first, after, ended):
             found.append((w, first, after))
-    cut = faces.cut(found)
-    return cut.select((cut.ends[:, 0] != cut.ends[:, 1]).any(axis=1))
+    return reduce(Walls.append, (_as_seen(faces, part) for part in found), NO_WALLS)
+
+
+def _as_seen(faces: TracedFaces, part: tuple[int, int, int]) -> Walls:
+    """A stretch of a line as a single face, as high as rays ended on it."""
+    w, first, after = part
+    columns = slice(faces.columns(w).start + first, faces.columns(w).start + after)
+    on = faces.evidence.ended[columns, :, ON].sum(axis=0, dtype=np.float64)
+    squares = float(faces.evidence.depth_squares[columns, :, ON].sum())
+    seen = np.flatnonzero(on >= min(_ROW_RETURNS_MIN, on.max()))
+    top_m = min((seen[-1] + 1) * CELL_M, float(faces.top_m[columns].max()))
+    return replace(
+        faces.cut([part]),
+        bottom_m=np.array([seen[0] * CELL_M]),
+        top_m=np.array([top_m]),
+        rms_m=np.array([np.sqrt(squares / on.sum())]),
+        sample_count=np.array([on.sum()], np.int64),
+    )
 
 
 def both_sides(lines: list[Line]) -> Walls:

@@ -135,9 +135,7 @@ def standing_stretches(immobile: Immobile, knee_m: float) -> Walls:
             near = tree.query_ball_point(middles, AT_FACE_M, return_length=True)
             supported |= near >= _RAYS_MIN
         missing |= _in_window_reveal(middles, face.normal, immobile.windows)
-        # A face without scans of its own was proven by all scans together: it is no leaf.
-        if walls.scan_count[w]:
-            missing |= _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
+        missing |= _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
         supported &= ~missing
         # A face ends at a corner, up to which it is continued as over any other gap.
         bordered = np.concatenate([[True], supported, [True]])
