@@ -233,8 +233,6 @@ def map_drops(layers: Layers, ceiling: HeightMap) -> HeightMap:
     wall = layers.labelled(Label.WALL)
     wall = wall[wall[:, 2] < top_m[grid.cells(wall)]]
     walls = grid.heights(wall, 0.0) - layers.ground_m < settings.headroom_m
-    # Scans take the sides of deep beams for walls, which stand lower.
-    high_m = np.where(walls, high_m, np.fmax(high_m, grid.heights(wall, 1.0)))
     parts = level_parts(hangs, low_m, 2.0 * _FLAT_M)
 
     def count(cells: BoolArray) -> IntArray:

@@ -11,7 +11,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment, segments
 from ffmap.algorithms.building.evidence import Evidence
-from ffmap.algorithms.building.heights import HeightMap, corrected
+from ffmap.algorithms.building.heights import HeightMap, Surface, corrected
 from ffmap.algorithms.building.levels import LevelsSettings, of_rooms
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls
 from ffmap.algorithms.building.votes import VoxelVotes
@@ -28,16 +28,23 @@ _ROOM_M, _ROOM_BESIDE_M, _ROOM_CUBES_MIN = (0.3, 3.0), 0.5, 10
 
 @dataclass(frozen=True)
 class Storey:
-    """The cubes that are floor (n, 3) and ceiling (m, 3), by the scans' votes or by the building's level surfaces."""
+    """The voxels that are floor (n, 3) and ceiling (m, 3).
+
+    By the scans' votes, or by the building's level surfaces.
+    """
 
     floor: FloatArray
     ceiling: FloatArray
 
     @classmethod
-    def of(cls, votes: VoxelVotes, levels: Sequence[HeightMap], settings: LevelsSettings) -> "Storey":
+    def of(
+        cls, votes: VoxelVotes, levels: Sequence[HeightMap], settings: LevelsSettings
+    ) -> "Storey":
         """From the labels that scans gave, and the surfaces that all of them show."""
         by_scans, position = votes.label, votes.mean_position
-        label = corrected(levels, position, by_scans)
+        # A lintel's underside seems a beam's: what ends there is no lower than its room.
+        built = [level for level in levels if level.surface != Surface.CEILING_DROP]
+        label = corrected(built, position, by_scans)
         agreed = (label != by_scans) | votes.seen(settings.votes_min)
         label = np.where(agreed, label, Label.CLUTTER)
         # What no scan found, but all together, was found to be broad, or to be built.

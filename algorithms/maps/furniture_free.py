@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, segments
-from ffmap.algorithms.building.evidence import BEYOND, FAR, FOOT_ROW, ON, RECESS, Evidence
+from ffmap.algorithms.building.evidence import BEYOND, DEEP, FOOT_ROW, ON, RECESS, Evidence
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
     CELL_M,
@@ -165,7 +165,7 @@ def _passed(sides: Sequence[FloatArray], knee_m: float) -> BoolArray:
     """(c,) whether rays from either side passed the columns of a face between foot and knee."""
     low = slice(FOOT_ROW, cells_in(knee_m))
     on = sum(_near(_on(ended[:, low])) for ended in sides)
-    through = sum(_near(ended[:, low, FAR : BEYOND + 1].sum(axis=-1)) for ended in sides)
+    through = sum(_near(ended[:, low, DEEP : BEYOND + 1].sum(axis=-1)) for ended in sides)
     return np.asarray((through >= _PASSED_RAYS_MIN) & (through > _PASSED_RATIO * on))
 
 

@@ -258,13 +258,8 @@ ROOM = (0.0, 4.0), (0.0, 3.0), (0.0, 2.8)
 BEAM: Box = (1.8, 2.1), (0.0, 3.0), (2.5, 2.8)
 
 
-def ceiling_share(
-    *boxes: Box, degrees: float = 0.0, slope: float = 0.0, as_wall: bool = False
-) -> float:
-    """The share of what is seen of hanging boxes that becomes ceiling.
-
-    as_wall: whether scans take their sides for walls.
-    """
+def ceiling_share(*boxes: Box, degrees: float = 0.0, slope: float = 0.0) -> float:
+    """The share of what is seen of hanging boxes that becomes ceiling."""
     ceiling, walls = lying(ROOM[0], ROOM[1], 2.8, slope), sides(*ROOM[:2], (0.0, 2.8 + 4 * slope))
     hanging = []
     for x, y, z in boxes:
@@ -275,9 +270,6 @@ def ceiling_share(
     box = np.concatenate(hanging)
     seen = (box[:, :2] > 0.03).all(axis=1) & (box[:, 0] < 3.97) & (box[:, 1] < 2.97)
     box = box[seen & (box[:, 2] < 2.8 + slope * box[:, 0])]
-    if as_wall:
-        lowest = np.isclose(box[:, 2], boxes[0][2][0])
-        walls, box = np.concatenate([walls, box[~lowest]]), box[lowest]
     below_ceiling = box[box[:, 2] < 2.8 - SETTINGS.margin_m]
     walls = walls[walls[:, 2] < 2.8 + slope * walls[:, 0]]
     floor = lying(ROOM[0], ROOM[1], 0.0)
@@ -309,10 +301,6 @@ def test_what_closes_up_to_the_ceiling_is_ceiling(boxes: tuple[Box, ...], degree
 
 def test_a_beam_below_a_ceiling_that_rises_is_ceiling() -> None:
     assert ceiling_share(BEAM, slope=0.1) > 0.85
-
-
-def test_a_beam_is_ceiling_though_scans_take_its_sides_for_walls() -> None:
-    assert ceiling_share(BEAM, as_wall=True) > 0.9
 
 
 @pytest.mark.parametrize("degrees", [0.0, 90.0])
