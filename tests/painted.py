@@ -57,5 +57,4 @@ def evidence_of(*faces: Painted, scatter_m: float = 0.01) -> Evidence:
     depth_sum = np.concatenate([none[1], *(face.depth_sum for face in faces)])
     count = np.maximum(ended[..., :BEYOND], 1.0)
     squares = depth_sum**2 / count + ended[..., :BEYOND] * np.float32(scatter_m**2)
-    light = np.zeros((0, ROWS, 8, 2), np.float32)
-    return Evidence(first, ended, depth_sum, squares, light)
+    return Evidence(first, ended, depth_sum, squares)

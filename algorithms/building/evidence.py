@@ -27,10 +27,6 @@ LAYERS_M = (0.10, 0.04, -0.03, -0.12, -0.35, -1.0)
 of poses are, of a leaf in a frame's rebate, in a wall's reveal, and in the room behind."""
 FOOT_ROW = 2
 """The lowest row above sills, skirting boards and the floor's own returns."""
-ANGLES_DEG = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0)
-"""What parts angles of incidence: only returns of like angles have comparable intensities."""
-_AT_FACE_M = 0.06
-"""Returns this near a face are its own, and tell how strongly it reflects."""
 _LEVEL_BEHIND_M = 0.06
 """Floor and ceiling this far (m) behind a face are seen through an opening in it."""
 
@@ -44,15 +40,12 @@ class Evidence:
     that ended before the face count where they ended.
     depth_sum, depth_squares: (columns, rows, 5) float32: sums over the rays of each layer but the
     last, of their distance before the face (m, negative behind), and of its square.
-    light: (columns, rows, angles, 2) float32: returns at the face of which the intensity is known,
-    and its sum, by the angle of incidence (`ANGLES_DEG`); (0, rows, angles, 2) without any.
     """
 
     first: IntArray
     ended: FloatArray
     depth_sum: FloatArray
     depth_squares: FloatArray
-    light: FloatArray
 
     def __len__(self) -> int:
         return len(self.first) - 1
@@ -74,7 +67,6 @@ class Evidence:
             self.ended[own],
             self.depth_sum[own],
             self.depth_squares[own],
-            self.light[own],
         )
 
     def part(self, stretches: list[tuple[int, int, int]]) -> tuple[IntArray, "Evidence"]:
@@ -85,9 +77,8 @@ class Evidence:
         parts = [self.first[w] + np.arange(first, after) for w, first, after in stretches]
         columns = np.concatenate([np.zeros(0, np.int64), *parts])
         starts = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
-        light = self.light[columns] if len(self.light) else self.light
         sums = self.ended[columns], self.depth_sum[columns], self.depth_squares[columns]
-        return columns, Evidence(starts, *sums, light)
+        return columns, Evidence(starts, *sums)
 
     def minus(self, less: "Evidence") -> "Evidence":
         """Without what some of these rays found of the same faces."""
@@ -96,7 +87,6 @@ class Evidence:
             ended=self.ended - less.ended,
             depth_sum=self.depth_sum - less.depth_sum,
             depth_squares=self.depth_squares - less.depth_squares,
-            light=self.light - less.light if len(less.light) else self.light,
         )
 
 
@@ -106,7 +96,6 @@ def trace(
     range_m: float,
     own: OwnPlane,
     at_ends: bool = False,
-    with_light: bool = False,
 ) -> Evidence:
     """Book every ray in the cells of the faces that look towards its origin.
 
@@ -120,17 +109,11 @@ def trace(
     shape = int(first[-1]), rows_of(walls)
     ended = np.zeros((*shape, 6), np.float32)
     depth_sum, squares = np.zeros((*shape, 5), np.float32), np.zeros((*shape, 5), np.float32)
-    angles = (len(ANGLES_DEG) + 1, 2)
-    light = np.zeros((0, shape[1], *angles), np.float32)
-    layers, cosines = np.array(LAYERS_M), np.cos(np.radians(ANGLES_DEG))
+    layers = np.array(LAYERS_M)
     for block in blocks:
-        rays = Rays.of(block)
-        if with_light and len(rays.intensity) and not len(light):
-            light = np.zeros((*shape, *angles), np.float32)
-        sums = ended, depth_sum, squares, light
-        faces = walls.ends, walls.normal, first
-        _trace(*faces, *sums, rays, range_m, own, at_ends, layers, cosines)
-    return Evidence(first, ended, depth_sum, squares, light)
+        faces, sums = (walls.ends, walls.normal, first), (ended, depth_sum, squares)
+        _trace(*faces, *sums, Rays.of(block), range_m, own, at_ends, layers)
+    return Evidence(first, ended, depth_sum, squares)
 
 
 def first_columns(walls: Walls) -> IntArray:
@@ -195,16 +178,13 @@ def _trace(
     ended: FloatArray,
     depth_sum: FloatArray,
     squares: FloatArray,
-    light: FloatArray,
     rays: Rays,
     range_m: float,
     own: OwnPlane,
     at_ends: bool,
     layers_m: FloatArray,
-    cosines: FloatArray,
 ) -> None:  # pragma: no cover
     faces, rows = len(ends), ended.shape[1]
-    has_light = len(light) > 0 and len(rays.intensity) > 0
     origin, starts, ray_end, label = rays.origin, rays.starts, rays.end, rays.label
     along = np.empty((faces, 2))
     for w in range(faces):
@@ -267,13 +247,6 @@ def _trace(
                 if layer < BEYOND:
                     depth_sum[column, row, layer] += side
                     squares[column, row, layer] += side * side
-                if has_light and abs(side) < _AT_FACE_M and np.isfinite(rays.intensity[r]):
-                    length = np.sqrt((x0 - ox) ** 2 + (y0 - oy) ** 2 + (z0 - oz) ** 2)
-                    cosine, angle = (reach - side) / length, 0
-                    while angle < len(cosines) and cosine < cosines[angle]:
-                        angle += 1
-                    light[column, row, angle, 0] += 1.0
-                    light[column, row, angle, 1] += rays.intensity[r]
 
 
 def trace_shared(
@@ -283,7 +256,6 @@ def trace_shared(
     own: OwnPlane,
     workers: int,
     at_ends: bool = False,
-    with_light: bool = False,
 ) -> Evidence:
     """Trace in several threads, each of which books all rays in some of the faces.
 
@@ -296,9 +268,7 @@ def trace_shared(
     with ThreadPoolExecutor(parts) as threads:
         found = list(
             threads.map(
-                lambda chosen: trace(
-                    as_high.select(chosen), blocks(), range_m, own, at_ends, with_light
-                ),
+                lambda chosen: trace(as_high.select(chosen), blocks(), range_m, own, at_ends),
                 by_part,
             )
         )
@@ -309,8 +279,8 @@ def joined(faces: list[Evidence], rows: int) -> Evidence:
     """The evidence of several faces, each at least `rows` high, one after the other."""
     first = np.concatenate([[0], np.cumsum([len(face.ended) for face in faces])]).astype(np.int64)
 
-    def stacked(name: str, *shape: int) -> FloatArray:
-        none = np.zeros((0, rows, *shape), np.float32)
+    def stacked(name: str, layers: int) -> FloatArray:
+        none = np.zeros((0, rows, layers), np.float32)
         return np.concatenate([none, *(getattr(face, name)[:, :rows] for face in faces)])
 
     return Evidence(
@@ -318,5 +288,4 @@ def joined(faces: list[Evidence], rows: int) -> Evidence:
         stacked("ended", 6),
         stacked("depth_sum", 5),
         stacked("depth_squares", 5),
-        stacked("light", len(ANGLES_DEG) + 1, 2),
     )

@@ -25,7 +25,6 @@ class Rays(NamedTuple):
     plane_starts: IntArray
     plane_ends: FloatArray
     plane_normal: FloatArray
-    intensity: FloatArray
 
     @classmethod
     def of(cls, block: Features) -> "Rays":
@@ -41,7 +40,6 @@ class Rays(NamedTuple):
             block.plane_starts,
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
-            np.ascontiguousarray(block.ray_intensity, np.float32),
         )
 
 
@@ -107,7 +105,10 @@ def own_plane(
         # How far off it is where it lies beside the face; beyond, another wall may go on.
         off_0, off_1 = normal[0] * x0 + normal[1] * y0, normal[0] * x1 + normal[1] * y1
         rise = (off_1 - off_0) / (along_1 - along_0)
-        far = max(abs(off_0 + rise * (max(low, 0.0) - along_0)), abs(off_0 + rise * (min(high, length) - along_0)))
+        far = max(
+            abs(off_0 + rise * (max(low, 0.0) - along_0)),
+            abs(off_0 + rise * (min(high, length) - along_0)),
+        )
         if far < rules.distance_m:
             longest, start, stop = shared, low, high
             nx, ny = px, py

@@ -10,7 +10,6 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import segments, turned
 from ffmap.algorithms.building.drive import TraceOnce
 from ffmap.algorithms.building.evidence import (
-    ANGLES_DEG,
     BEFORE,
     BEYOND,
     DEEP,
@@ -29,7 +28,6 @@ from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, Walls,
 from ffmap.algorithms.building.rays import OwnPlane, Rays, own_plane
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.scan.summary import (
-    NO_INTENSITY,
     Features,
     concatenate,
     select_rays,
@@ -56,7 +54,6 @@ def scan_of(
     ends: FloatArray,
     label: FloatArray | int = Label.CLUTTER,
     planes: Walls = NO_WALLS,
-    intensity: FloatArray = NO_INTENSITY,
 ) -> Features:
     """One scan from a place (3,), of rays to ends (r, 3), and with planes of its own."""
     ends = np.asarray(ends, float).reshape(-1, 3)
@@ -70,7 +67,6 @@ def scan_of(
         plane_top_m=planes.top_m,
         plane_lines=planes.scan_count,
         plane_moments=np.zeros((len(planes), 6)),
-        ray_intensity=np.asarray(intensity, np.float32),
     )
 
 
@@ -98,8 +94,7 @@ def scattered(seed: int, count: int = 20) -> tuple[Walls, Features]:
         own[:, 1] += generator.uniform(-0.05, 0.05, (count // 2, 2))
         own[:, 1] = own[:, 0] + generator.uniform(0.2, 1, (count // 2, 1)) * (own[:, 1] - own[:, 0])
         label = generator.choice([Label.CLUTTER, Label.FLOOR, Label.CEILING, Label.WALL], RAYS)
-        intensity = np.where(generator.random(RAYS) < 0.2, np.nan, generator.uniform(1, 90, RAYS))
-        scan = scan_of(np.array(origin), end, label, walls_of(own), intensity)
+        scan = scan_of(np.array(origin), end, label, walls_of(own))
         scans.append(replace(scan, floor_map=np.broadcast_to(floor * (1, 1, 0.5), (1, 2, 3))))
     return walls, concatenate(scans)
 
@@ -144,19 +139,14 @@ def reference(
         if at_ends:  # through this opening
             met &= (side_m >= 0) | ((place_m >= 0) & (place_m < columns * CELL_M))
         met &= (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        ended, light = np.zeros((columns, rows, 6)), np.zeros((columns, rows, 8, 2))
+        ended = np.zeros((columns, rows, 6))
         depth_sum, squares = np.zeros((columns, rows, 5)), np.zeros((columns, rows, 5))
         cells = column[met], row[met], layer[met]
         np.add.at(ended, cells, 1.0)
         within = tuple(index[layer[met] < BEYOND] for index in cells)
         np.add.at(depth_sum, within, side_m[met & (layer < BEYOND)])
         np.add.at(squares, within, side_m[met & (layer < BEYOND)] ** 2)
-        lit = met & (np.abs(side_m) < 0.06) & np.isfinite(features.ray_intensity)
-        cosine = (reach_m - side_m) / np.linalg.norm(end - origin, axis=1)
-        angle = np.searchsorted(np.radians(ANGLES_DEG), np.arccos(np.clip(cosine, -1, 1)))
-        np.add.at(light[..., 0], (column[lit], row[lit], angle[lit]), 1.0)
-        np.add.at(light[..., 1], (column[lit], row[lit], angle[lit]), features.ray_intensity[lit])
-        found.append((ended, depth_sum, squares, light))
+        found.append((ended, depth_sum, squares))
     return found
 
 
@@ -168,15 +158,13 @@ def test_rays_are_booked_as_the_reference_books_them(
 ) -> None:
     walls, features = scattered(seed)
     own = OWN._replace(distance_m=own_m)
-    found = trace(walls, [features], range_m, own, at_ends, with_light=True)
+    found = trace(walls, [features], range_m, own, at_ends)
     wanted = reference(walls, features, own, range_m, at_ends)
     assert len(found) == len(walls)
     for w, (ended, *sums) in enumerate(wanted):
         face = found.of(w)
         np.testing.assert_array_equal(face.ended, ended)
-        for own_sum, its in zip(
-            (face.depth_sum, face.depth_squares, face.light), sums, strict=True
-        ):
+        for own_sum, its in zip((face.depth_sum, face.depth_squares), sums, strict=True):
             np.testing.assert_allclose(own_sum, its, rtol=1e-5, atol=1e-4)
     met = [layer for layer in range(6) if found.ended[..., layer].sum() > 50]
     assert met == list(range(6))
@@ -299,30 +287,6 @@ def test_rays_are_measured_against_a_plane_of_their_own_scan() -> None:
     np.testing.assert_allclose(both, np.array(by_plane) + by_face, atol=1e-4)
 
 
-def test_intensities_are_summed_by_the_angle_of_incidence() -> None:
-    origin = np.array([2.0, 3.0, 1.0])
-    end = [[2.01, 0.0, 1.01], [2.01, 0.0, 1.02], [0.51, 0, 1.01], [0.51, 0, 1.02], [2, 0.09, 2]]
-    scan = scan_of(origin, np.array(end), Label.WALL, intensity=np.array([10, np.nan, 30, 50, 20]))
-    cells = trace(FACE, [scan], RANGE_M, OWN, with_light=True)
-    # Over more, intensities fall by as much as a leaf's differs.
-    assert np.diff([0.0, *ANGLES_DEG]).max() <= 10.0
-    steepest, slant = np.zeros((2, len(ANGLES_DEG) + 1, 2))
-    steepest[0] = 1, 10  # at right angles, one unknown
-    slant[np.searchsorted(ANGLES_DEG, 27.0)] = 2, 80
-    np.testing.assert_array_equal(cells.light[40, 20], steepest)
-    np.testing.assert_array_equal(cells.light[10, 20], slant)
-    assert cells.light[..., 0].sum() == 3  # none of what ended before the face
-    twice = trace(FACE, [scan, scan], RANGE_M, OWN, with_light=True)
-    np.testing.assert_array_equal(twice.light, 2 * cells.light)
-    dark = replace(scan, ray_intensity=NO_INTENSITY)
-    later = trace(FACE, [dark, scan], RANGE_M, OWN, with_light=True)
-    np.testing.assert_array_equal(later.light, cells.light)
-    for blocks, with_light in (([scan], False), ([dark], True)):
-        none = trace(FACE, blocks, RANGE_M, OWN, with_light=with_light)
-        assert none.light.shape == (0, *cells.light.shape[1:])
-        np.testing.assert_array_equal(none.ended, cells.ended)
-
-
 def assert_same(found: Evidence, wanted: Evidence, exact: bool = True) -> None:
     for name in NAMES:
         own, its = getattr(found, name), getattr(wanted, name)
@@ -332,32 +296,28 @@ def assert_same(found: Evidence, wanted: Evidence, exact: bool = True) -> None:
             np.testing.assert_allclose(own, its, rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.parametrize("with_light", [False, True])
 @pytest.mark.parametrize("workers", [0, 1, 2, 3, 40])
-def test_no_sum_depends_on_the_number_of_threads(workers: int, with_light: bool) -> None:
+def test_no_sum_depends_on_the_number_of_threads(workers: int) -> None:
     walls, features = scattered(7, count=11)
     walls = replace(walls, top_m=np.linspace(1.0, 4.0, len(walls)))
     for chosen in (walls, walls.select(slice(0, 1)), walls.select(slice(0, 0))):
         for at_ends in (False, True):
             rules = RANGE_M, OWN
-            shared = trace_shared(
-                chosen, lambda: [features, features], *rules, workers, at_ends, with_light
-            )
-            alone = trace(chosen, [features, features], *rules, at_ends, with_light)
+            shared = trace_shared(chosen, lambda: [features, features], *rules, workers, at_ends)
+            alone = trace(chosen, [features, features], *rules, at_ends)
             assert shared.rows == alone.rows == rows_of(chosen)
             assert_same(shared, alone)
-            assert bool(len(alone.light)) == (with_light and len(chosen) > 0)
 
 
 def test_sums_hold_for_scans_in_any_order_and_portions() -> None:
     walls, features = scattered(5)
-    whole = trace(walls, [features], RANGE_M, OWN, with_light=True)
+    whole = trace(walls, [features], RANGE_M, OWN)
     scans = [select_scans(features, np.arange(SCANS) == s) for s in range(SCANS)]
-    assert_same(trace(walls, scans, RANGE_M, OWN, with_light=True), whole)
+    assert_same(trace(walls, scans, RANGE_M, OWN), whole)
     for blocks in (scans[::-1], [concatenate(scans[::-1])], [concatenate(scans[2:]), *scans[:2]]):
-        assert_same(trace(walls, blocks, RANGE_M, OWN, with_light=True), whole, exact=False)
+        assert_same(trace(walls, blocks, RANGE_M, OWN), whole, exact=False)
     order = np.random.default_rng(0).permutation(len(walls))
-    permuted = trace(walls.select(order), [features], RANGE_M, OWN, with_light=True)
+    permuted = trace(walls.select(order), [features], RANGE_M, OWN)
     for own, w in enumerate(order):
         assert_same(permuted.of(own), whole.of(int(w)))
 
@@ -391,10 +351,9 @@ def test_no_scan_and_no_face() -> None:
     walls, features = scattered(1)
     none = select_scans(features, np.zeros(SCANS, bool))
     for blocks in ([], [none], [none, none]):
-        found = trace(walls, blocks, RANGE_M, OWN, with_light=True)
+        found = trace(walls, blocks, RANGE_M, OWN)
         assert found.ended.shape == (first_columns(walls)[-1], rows_of(walls), 6)
         assert not found.ended.any()
-        assert not found.light.any()
     found = trace(NO_WALLS, [features], RANGE_M, OWN)
     assert (len(found), found.rows, len(found.ended)) == (0, rows_of(NO_WALLS), 0)
     assert rows_of(NO_WALLS) > 0
@@ -406,17 +365,16 @@ def test_columns_and_rows_are_as_many_as_faces_need() -> None:
     assert rows_of(replace(walls, top_m=np.array([1.0, 3.0, 2.0]))) == 70
 
 
-@pytest.mark.parametrize("with_light", [False, True])
-def test_faces_and_stretches_of_them_are_taken_out_and_joined(with_light: bool) -> None:
+def test_faces_and_stretches_of_them_are_taken_out_and_joined() -> None:
     walls, features = scattered(2, count=6)
-    whole = trace(walls, [features], RANGE_M, OWN, with_light=with_light)
+    whole = trace(walls, [features], RANGE_M, OWN)
     assert len(whole) == 6
     parts = [whole.of(w) for w in range(6)]
     assert_same(joined(parts, whole.rows), whole)
     for w, face in enumerate(parts):
         assert (len(face), face.columns(0)) == (1, slice(0, len(face.ended)))
         np.testing.assert_array_equal(face.ended, whole.ended[whole.columns(w)])
-        assert_same(face, trace(walls.one(w), [features], RANGE_M, OWN, with_light=with_light))
+        assert_same(face, trace(walls.one(w), [features], RANGE_M, OWN))
     # A lower face's evidence is that of a higher one without its upper rows.
     low = joined(parts[:2], 30)
     assert (low.rows, len(low)) == (30, 2)
@@ -427,8 +385,7 @@ def test_faces_and_stretches_of_them_are_taken_out_and_joined(with_light: bool) 
     columns, part = whole.part(stretches)
     assert np.diff(part.first).tolist() == [counts[4] - 1, 3, 0, 3]
     for name in NAMES[1:]:
-        if name != "light" or with_light:
-            np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[columns])
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[columns])
     assert columns.tolist() == [
         whole.first[w] + c for w, first, after in stretches for c in range(first, after)
     ]
@@ -440,15 +397,13 @@ def test_what_some_rays_found_is_taken_off() -> None:
     walls, features = scattered(4)
     some = np.arange(SCANS) < 2
     whole, first, rest = (
-        trace(walls, [scans], RANGE_M, OWN, with_light=True)
+        trace(walls, [scans], RANGE_M, OWN)
         for scans in (features, select_scans(features, some), select_scans(features, ~some))
     )
     assert first.ended.any()
     assert_same(whole.minus(first), rest, exact=False)
     assert not whole.minus(whole).ended.any()
-    dark = replace(first, light=np.zeros((0, *first.light.shape[1:]), np.float32))
-    np.testing.assert_array_equal(whole.minus(dark).light, whole.light)
-    np.testing.assert_array_equal(whole.minus(dark).ended, rest.ended)
+    np.testing.assert_array_equal(whole.minus(first).ended, rest.ended)
 
 
 def test_a_face_that_was_asked_about_is_not_traced_again() -> None:
