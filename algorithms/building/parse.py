@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.evidence import BEFORE, DEEP, ON, RECESS
+from ffmap.algorithms.building.evidence import BEFORE, DEEP, FOOT_ROW, ON, RECESS
 from ffmap.algorithms.building.model import CELL_M, cells_in
 
 
@@ -145,8 +145,6 @@ class ParseSettings(StepSettings):
     window_size_m: float = Field(0.3, gt=0, description="Least width and height (m) of a window.")
 
 
-FOOT_ROW = 2
-"""The lowest row (cells) above sills, skirting boards and the floor's own returns."""
 _STRETCH_MAX = 80
 """Longest stretch (columns) of one kind that is tried; longer things go on in another stretch."""
 _CHAIN = 4.0
@@ -191,8 +189,8 @@ def material_odds(
     Where rays end tells materials apart but for what is recessed by centimetres: that the mean
     depth of a cell's returns tells, which is known better than any single one.
 
-    ended, depth_sum: (c, rows, …) rays by layer, see `Evidence`. top: (c,) rows up to the ceiling;
-    above, and below the foot, all odds are 0.
+    ended, depth_sum: (c, rows, …) rays by layer, see `Evidence`. top: (c,) rows up to the
+    ceiling; above, and below the foot, all odds are 0.
     """
     near = ended[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64)
     behind = np.concatenate([near[..., None], ended[..., DEEP:]], axis=-1).astype(np.float64)
@@ -240,8 +238,8 @@ def parse_face(
 ) -> list[Stretch]:
     """The stretches of one face, from end to end.
 
-    ended, depth_sum: (c, rows, …) rays by layer, see `Evidence`. top: (c,) rows up to the ceiling. driven:
-    (c,) where the robot drove through.
+    ended, depth_sum: (c, rows, …) rays by layer, see `Evidence`. top: (c,) rows up to the
+    ceiling. driven: (c,) where the robot drove through.
     """
     columns, rows = len(ended), int(min(top.max(initial=0) + 1, ended.shape[1]))
     if not columns:
@@ -288,8 +286,6 @@ def _joined(stretches: list[Stretch]) -> list[Stretch]:
     return joined
 
 
-_BY_BANDS = len(Kind) - Kind.DOORWAY
-"""Kinds that are told by a sill and a head."""
 _CEILING = 10_000
 """A row higher than any ceiling: the band goes on up to that."""
 
@@ -346,7 +342,7 @@ def _fit(
 ) -> None:  # pragma: no cover
     """Write the best odds of each kind by bands over some columns, and its sill and head.
 
-    limit: rows up to the lowest ceiling of these. total: (7,) for the sums over all rows.
+    limit: rows up to the lowest ceiling of these. total: (m,) of materials, for the sums over all rows.
     """
     columns, rows = after - first, sums.shape[1]
     below = np.zeros((min(limit, rows) + 1, sums.shape[2]))
@@ -363,10 +359,10 @@ def _fit(
         if columns < limits[k, 4] or columns > limits[k, 5]:
             continue
         low, middle, high = materials[k]
-        to_ceiling = limits[k, 2] >= 10_000
+        to_ceiling = limits[k, 2] >= _CEILING
         best, sill = -np.inf, -1
         closed, closed_from, closed_sill = -np.inf, -1, -1
-        last = top - 2 if limits[k, 1] > 9_000 else limits[k, 1]
+        last = top - 2 if limits[k, 1] >= _CEILING - 1 else limits[k, 1]
         for row in range(limits[k, 0], top + 1):
             # A sill at this row, with the band between it and the head.
             if row <= min(last, top):
@@ -464,7 +460,7 @@ def _parse(
                 value[j, k], begin[j, k] = enter + own, j - 1
                 before[j, k] = best_kind[j - 1] if k == wall else closed_kind[j - 1]
         limit, crossed = rows, 0
-        for i in range(j - 1, max(j - 81, -1), -1):
+        for i in range(j - 1, max(j - _STRETCH_MAX - 1, -1), -1):
             limit, crossed = min(limit, top[i]), crossed + int(driven[i])
             if j - i < 3 or (against[j] - against[i] < change and crossed == 0):
                 continue
