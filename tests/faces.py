@@ -6,11 +6,17 @@ from typing import Any
 import numpy as np
 
 from ffmap.algorithms.building.evidence import Evidence
-from ffmap.algorithms.building.model import Doors, Walls, Windows
+from ffmap.algorithms.building.face_foreground import Foreground
+from ffmap.algorithms.building.model import NO_WALLS, Blinds, Doors, Walls, Windows
 from ffmap.algorithms.building.storey import TracedFaces
+from ffmap.algorithms.building.verdicts import JudgedFaces
 
 CEILING_M = 2.8
-
+NO_BLINDS = Blinds(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
+NO_JUDGED_FACES = JudgedFaces(NO_WALLS, NO_WALLS, np.zeros(0, np.uint8))
+NO_FOREGROUND = Foreground(
+    np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 1), bool)
+)
 
 Ends = tuple[tuple[float, float], tuple[float, float]]
 

@@ -49,6 +49,12 @@ def wall(length_m: float, top_m: float = 2.8) -> Painted:
     return Painted(round(length_m / CELL_M)).paint((0.0, length_m), (0.0, top_m), ON)
 
 
+def part(face: Evidence, first: int, after: int) -> Evidence:
+    """Some columns of one face's evidence."""
+    own = face.ended[first:after], face.depth_sum[first:after], face.depth_squares[first:after]
+    return Evidence(np.array([0, after - first]), *own)
+
+
 def evidence_of(*faces: Painted, scatter_m: float = 0.01) -> Evidence:
     """What rays found of faces; scatter_m: of the returns of each cell about their mean."""
     first = np.concatenate([[0], np.cumsum([face.columns for face in faces])]).astype(np.int64)

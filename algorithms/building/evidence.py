@@ -69,17 +69,6 @@ class Evidence:
             self.depth_squares[own],
         )
 
-    def part(self, stretches: list[tuple[int, int, int]]) -> tuple[IntArray, "Evidence"]:
-        """Of stretches, each a face, its first column and the one after its last, as own faces.
-
-        Returns their columns (c,) here too.
-        """
-        parts = [self.first[w] + np.arange(first, after) for w, first, after in stretches]
-        columns = np.concatenate([np.zeros(0, np.int64), *parts])
-        starts = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
-        sums = self.ended[columns], self.depth_sum[columns], self.depth_squares[columns]
-        return columns, Evidence(starts, *sums)
-
     def minus(self, less: "Evidence") -> "Evidence":
         """Without what some of these rays found of the same faces."""
         return replace(

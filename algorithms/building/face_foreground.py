@@ -84,9 +84,6 @@ class Foreground:
         )
 
 
-NO_FOREGROUND = Foreground(np.zeros(1, np.int64), np.zeros(0), np.zeros(0), np.zeros((0, 1), bool))
-
-
 def bare_foreground(low: Walls, storey: Storey) -> Foreground:
     """That of low walls: nothing stands before them, and what lies before them is as high as they are."""
     first = first_columns(low)

@@ -6,6 +6,8 @@ this building: hence faces are parsed twice.
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.doors import each_once, prove_crossed
@@ -45,7 +47,7 @@ from ffmap.algorithms.building.settle import (
     mostly_stands,
     windows_of,
 )
-from ffmap.algorithms.building.storey import TracedFaces, room_before
+from ffmap.algorithms.building.storey import CEILING_NEAR_M, TracedFaces, room_before
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
     door_depths,
@@ -54,9 +56,12 @@ from ffmap.algorithms.building.thickness import (
 )
 from ffmap.algorithms.building.unseen_walls import (
     UnseenWallsSettings,
-    find_unseen_walls,
-    lines_along,
+    both_sides,
+    lines_of_any_direction,
     near_a_face,
+    straight_lines,
+    unexplained_columns,
+    walls_of,
 )
 from ffmap.algorithms.building.verdicts import (
     FaceVerdict,
@@ -65,6 +70,7 @@ from ffmap.algorithms.building.verdicts import (
     along_others,
     join_corners,
     leaning_on_others,
+    wall_directions,
 )
 from ffmap.algorithms.building.windows import (
     is_in_wall,
@@ -194,17 +200,12 @@ def _add_unseen_walls(
     judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings
 ) -> Walls:
     """The walls, with those that only all scans together show."""
-    found = find_unseen_walls(
-        judged.walls,
-        judged.refused,
-        scans.votes,
-        scans.storey,
-        lambda faces: _align(faces, scans, settings).walls,
-        lambda faces: _parsed(_traced(faces, scans, windows), scans, settings),
-        settings.building.gap_m,
-        settings.standing_walls.direction_share_min,
-        settings.unseen_walls,
-    )
+    known = judged.walls
+    for lines in (_lines, _chords):
+        candidates = _align(lines(known, judged.refused, scans, settings), scans, settings).walls
+        parsed = _parsed(_traced(candidates, scans, windows), scans, settings)
+        known = known.append(walls_of(parsed, known, settings.building, settings.unseen_walls))
+    found = known.select(slice(len(judged.walls), None))
     found = found.select(room_before(found, scans.storey))
     # What only rays without windows show, and others pass, a pane mirrored.
     found = found.select(mostly_stands(_parsed(_traced(found, scans, NO_WINDOWS), scans, settings)))
@@ -239,8 +240,21 @@ def _find_doors(
 
 
 def _lines(walls: Walls, refused: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
-    share, gap_m = settings.standing_walls.direction_share_min, settings.building.gap_m
-    return lines_along(walls, refused, scans.votes, gap_m, share, settings.unseen_walls)
+    """Lines of returns along the walls' directions, from both sides."""
+    directions = wall_directions(walls, settings.standing_walls.direction_share_min)
+    columns = unexplained_columns(scans.votes, walls.append(refused), settings.unseen_walls)
+    lines = straight_lines(columns, directions, settings.building.gap_m, settings.unseen_walls)
+    return both_sides(lines, walls, settings.unseen_walls)
+
+
+def _chords(walls: Walls, refused: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
+    """Lines of returns of any direction, as high as walls are, from both sides."""
+    columns = unexplained_columns(scans.votes, walls.append(refused), settings.unseen_walls)
+    clear_m = scans.storey.clear_m(columns.place, CEILING_NEAR_M)
+    height_m = columns.top_m - scans.storey.ground_m(columns.place)
+    is_high = height_m > np.fmin(clear_m - 0.35, 2.25)
+    lines = lines_of_any_direction(columns.place[is_high], settings.unseen_walls)
+    return both_sides(lines, walls, settings.unseen_walls)
 
 
 def _openings(faces: Walls, scans: AllScans, settings: FusionSettings) -> Openings:
@@ -250,8 +264,7 @@ def _openings(faces: Walls, scans: AllScans, settings: FusionSettings) -> Openin
 
 
 def _parsed(faces: TracedFaces, scans: AllScans, settings: FusionSettings) -> ParsedFaces:
-    robot_m = settings.standing_walls.robot_m
-    parsed = ParsedFaces.of(faces, scans.path_map, robot_m, settings.parse)
+    parsed = ParsedFaces.of(faces, scans.path_map, settings.building, settings.parse)
     return parsed.with_panes_told(scans.trace_within)
 
 

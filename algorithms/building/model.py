@@ -35,19 +35,23 @@ class BuildingSettings(StepSettings):
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
     range_m: float = Field(25.0, gt=0, description="Rays from farther (m) tell nothing of walls, seen through doors.")
     recess_min_m: float = Field(
-        0.016,
+        0.015,
         gt=0,
-        description="Least depth in metres of a closed leaf behind the wall: III.C's 2 cm, less what poses are off.",
+        description="Least depth (m) of a closed leaf behind its wall: DIN 18101 has 1.5 cm or more.",
     )
     door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
-    door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres; what hangs over a longer stretch is a duct.")
-    door_height_min_m: float = Field(1.8, gt=0, description="Lowest door head in metres. III.C, condition 3.")
+    door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres, of two leaves.")
+    door_height_min_m: float = Field(1.9, gt=0, description="Lowest door head in metres.")
+    door_height_max_m: float = Field(2.65, gt=0, description="Highest door head in metres.")
     knee_m: float = Field(
         0.7,
         gt=0,
-        description="Height above the floor (m) up to which rays that pass a wall prove a doorway: a window's sill is higher.",
+        description="Height above the floor (m) up to which rays that pass a wall prove a doorway: "
+        "a window's sill is higher.",
     )
-    door_height_max_m: float = Field(2.6, gt=0, description="Highest door head in metres.")
+    robot_m: float = Field(
+        0.1, ge=0, description="Half the width (m) of the narrowest robot: no wall is nearer."
+    )
     reveal_m: float = Field(
         0.3, ge=0, description="Depth (m) of a door's reveals where neither a lintel nor a wall of the building tells."
     )
@@ -149,9 +153,6 @@ class Blinds(Rows):
     bottom_m: FloatArray
     top_m: FloatArray
     behind_m: FloatArray
-
-
-NO_BLINDS = Blinds(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)

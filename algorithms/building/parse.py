@@ -8,6 +8,7 @@ found by dynamic programming over the ends of stretches (a semi-Markov model: Sa
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -16,8 +17,8 @@ from scipy.special import ndtr
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.evidence import BEFORE, DEEP, FOOT_ROW, ON, RECESS
-from ffmap.algorithms.building.model import CELL_M, cells_in
+from ffmap.algorithms.building.evidence import BEFORE, DEEP, FOOT_ROW, LAYERS_M, ON, RECESS
+from ffmap.algorithms.building.model import CELL_M, BuildingSettings, cells_in
 
 
 class Material(IntEnum):
@@ -50,8 +51,6 @@ SHARES = np.array(
 """(5, 4) of the first five materials: the share of rays that end on the face or in its recess, deep
 in it, far behind, and beyond, measured on drives with ground truth. Air does not sum to one: what
 lies behind an opening is the scene's."""
-_RECESS_M = 0.015, 0.12
-"""Least and greatest depth (m) of what is recessed: DIN 18101 has leaves 1.5 cm and more back."""
 _RAY_M, _FACE_M = 0.015, 0.006
 """Standard deviation (m) of one return, and of a cell's mean however many returns it has."""
 _LEAF_LESS = np.array([0.8, 0.3, 0.3])
@@ -90,7 +89,7 @@ class ParseSettings(StepSettings):
     rays_full: float = Field(
         4.0,
         gt=0,
-        description="Rays of a cell beyond which more tell hardly more: those of one scan err "
+        description="Rays of a cell beyond which more add hardly any odds: those of one scan err "
         "alike.",
     )
     odds_max: float = Field(
@@ -108,36 +107,11 @@ class ParseSettings(StepSettings):
     door: float = Field(
         6.0, ge=0, description="Price (nats) of a door: where its foot is hidden it is a window."
     )
-    low_sill: float = Field(4.0, ge=0, description="Price (nats) of a sill below the knee.")
-    knee_m: float = Field(
-        0.7, gt=0, description="Height (m) of usual sills above the floor: rays below pass doors."
-    )
-    high_end: float = Field(
-        8.0,
-        ge=0,
-        description="Price (nats) of a thing that ends above 2.25 m or close to the ceiling.",
-    )
-    blind: float = Field(
-        8.0, ge=0, description="Price (nats) of something that hangs in a window and closes it."
-    )
     pane: float = Field(
         12.0, ge=0, description="Price (nats) of glass down to the floor, or up to the ceiling."
     )
-    hanging: float = Field(
-        40.0, ge=0, description="Price (nats) of what hangs: a doorway's lintel hangs as well."
-    )
-    no_lintel: float = Field(
-        40.0, ge=0, description="Price (nats) of a doorway above which no wall was seen."
-    )
     hidden: float = Field(
         4.0, ge=0, description="Odds (nats) of a cell against being hidden, though it was seen."
-    )
-    open_end: float = Field(3.0, ge=0, description="Price (nats) of an opening at a face's end.")
-    door_width_m: tuple[float, float] = Field(
-        (0.6, 2.6), description="Width (m) of doors, single and double."
-    )
-    door_head_m: tuple[float, float] = Field(
-        (1.9, 2.65), description="Height (m) of doors' heads above the floor."
     )
     window_sill_m: tuple[float, float] = Field(
         (0.35, 1.7), description="Height (m) of windows' sills above the floor."
@@ -145,10 +119,17 @@ class ParseSettings(StepSettings):
     window_size_m: float = Field(0.3, gt=0, description="Least width and height (m) of a window.")
 
 
+_BY_BANDS = 3
+"""Kinds before these are of one material from the floor to the ceiling."""
 _STRETCH_MAX = 80
 """Longest stretch (columns) of one kind that is tried; longer things go on in another stretch."""
-_CHAIN = 4.0
-"""Price (nats) of a mullion between two windows, of a beam's or a shelf's next piece a quarter."""
+_CHAIN, _NEXT_PIECE = 4.0, 1.0
+"""Prices (nats) of a mullion between two windows, and of a beam's or a shelf's next piece."""
+_UNUSUAL, _RARE = 8.0, 40.0
+"""Prices (nats) of what is unusual: a blind, what ends above 2.25 m or close to the ceiling; and of
+what hardly exists: what hangs from the ceiling, a doorway without a lintel."""
+_LOW_SILL, _OPEN_END = 4.0, 3.0
+"""Prices (nats) of a sill below the knee, and of an opening at a face's end."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +163,11 @@ class Stretch:
 
 
 def material_odds(
-    ended: FloatArray, depth_sum: FloatArray, top: IntArray, settings: ParseSettings
+    ended: FloatArray,
+    depth_sum: FloatArray,
+    top: IntArray,
+    recess_min_m: float,
+    settings: ParseSettings,
 ) -> FloatArray:
     """Log odds (c, rows, 9) of each cell for each material, against the likeliest of all.
 
@@ -197,7 +182,8 @@ def material_odds(
     count = behind.sum(axis=-1)
     weight = settings.rays_full / (count + settings.rays_full)
     likely = (behind @ np.log(SHARES).T) * weight[..., None]
-    recess = _recess_odds(near, depth_sum[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64))
+    depth_m = depth_sum[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64)
+    recess = _recess_odds(near, depth_m, recess_min_m)
     recess *= near / np.maximum(count, 1.0)
     likely[..., Material.LEAF_RECESSED] += np.minimum(recess, 0.0)
     likely[..., Material.SOLID] -= np.maximum(recess, 0.0)
@@ -215,17 +201,17 @@ def material_odds(
     return np.asarray(all_odds * seen[..., None] / settings.cells_together)
 
 
-def _recess_odds(count: FloatArray, depth_sum: FloatArray) -> FloatArray:
+def _recess_odds(count: FloatArray, depth_sum: FloatArray, least_m: float) -> FloatArray:
     """Log odds of each cell for being recessed against lying in the face, by its mean depth.
 
-    A recess is equally likely of each depth; noise blurs its ends.
+    A recess is equally likely of each depth from `least_m` on; noise blurs its ends.
     """
+    most_m = -LAYERS_M[DEEP]
     behind_m = -depth_sum / np.maximum(count, 1.0)
     sigma_m = np.sqrt(_RAY_M**2 / np.maximum(count, 1.0) + _FACE_M**2)
     in_face = -0.5 * (behind_m / sigma_m) ** 2 - np.log(sigma_m * np.sqrt(2.0 * np.pi))
-    low, high = ((limit - behind_m) / sigma_m for limit in _RECESS_M)
-    within = np.maximum(ndtr(high) - ndtr(low), 1e-6)
-    recessed = np.log(within / (_RECESS_M[1] - _RECESS_M[0]))
+    within = ndtr((most_m - behind_m) / sigma_m) - ndtr((least_m - behind_m) / sigma_m)
+    recessed = np.log(np.maximum(within, 1e-6) / (most_m - least_m))
     return np.where(count > 0, recessed - in_face, 0.0)
 
 
@@ -234,38 +220,26 @@ def parse_face(
     depth_sum: FloatArray,
     top: IntArray,
     driven: BoolArray,
+    building: BuildingSettings,
     settings: ParseSettings,
 ) -> list[Stretch]:
     """The stretches of one face, from end to end.
 
     ended, depth_sum: (c, rows, …) rays by layer, see `Evidence`. top: (c,) rows up to the
-    ceiling. driven: (c,) where the robot drove through.
+    ceiling. driven: (c,) where the robot drove through. building: the sizes of doors.
     """
     columns, rows = len(ended), int(min(top.max(initial=0) + 1, ended.shape[1]))
     if not columns:
         return []
-    odds = material_odds(ended[:, :rows], depth_sum[:, :rows], top, settings)
+    own = ended[:, :rows], depth_sum[:, :rows]
+    odds = material_odds(*own, top, building.recess_min_m, settings)
     sums = np.concatenate([np.zeros((1, rows, odds.shape[2])), np.cumsum(odds, axis=0)])
     count = ended[:, :rows, BEFORE + 1 :].sum(axis=-1)
     between = (np.arange(rows) >= FOOT_ROW) & (np.arange(rows) < top[:, None])
     seen = (count / (count + settings.rays_full) * between).sum(axis=1)
     hidden = -settings.hidden / settings.cells_together * seen
-    rules = _grammar(settings)
-    prices = np.array(
-        [
-            settings.change,
-            settings.open_end,
-            settings.no_lintel,
-            _CHAIN,
-            settings.blind,
-            settings.high_end,
-            settings.low_sill,
-            settings.pane,
-            settings.knee_m / CELL_M,
-        ]
-    )
-    arrays = sums, top.astype(np.int64), hidden, driven.astype(np.bool_), *rules, prices
-    found = _parse(*arrays)
+    grammar = _grammar(building, settings)
+    found = _parse(sums, top.astype(np.int64), hidden, driven.astype(np.bool_), grammar)
     stretches = [
         Stretch(Kind(kind), first, after, sill, head, blind, odds_, Kind(second))
         for (first, after, kind, sill, head, blind, second), odds_ in zip(*found, strict=True)
@@ -286,39 +260,63 @@ def _joined(stretches: list[Stretch]) -> list[Stretch]:
     return joined
 
 
+_THING_ROWS, _BLIND_ROWS = 6, 4
+"""Least height (rows) of an opening or of a thing that ends low, and of a blind."""
+_LINTEL = 0.3
+"""Least odds (nats) a column of wall above an opening against its going on."""
 _CEILING = 10_000
 """A row higher than any ceiling: the band goes on up to that."""
 
 
-def _grammar(settings: ParseSettings) -> tuple[IntArray, IntArray, FloatArray]:
-    """Materials (k, 3) below, between and above, limits (k, 6) and prices (k,) of kinds by bands.
+class _Grammar(NamedTuple):
+    """What kinds of stretches there are, but for the simple ones, for compiled code.
 
-    Limits: lowest and highest sill and head (rows), least and greatest width (columns).
+    materials: (k, 3) below the sill, up to the head, and above. limits: (k, 6) lowest and highest
+    sill and head (rows), least and greatest width (columns). price: (k,) of each kind. change,
+    to_ceiling: prices of an edge, and of glass up to the ceiling. knee: the row of usual sills.
     """
+
+    materials: IntArray
+    limits: IntArray
+    price: FloatArray
+    change: float
+    to_ceiling: float
+    knee: int
+
+
+def _grammar(building: BuildingSettings, settings: ParseSettings) -> _Grammar:
     solid, away, anything = Material.SOLID, Material.AWAY, Material.ANYTHING
     foot, ceiling, all_m = (FOOT_ROW, FOOT_ROW), (_CEILING, _CEILING), _STRETCH_MAX * CELL_M
-    width_m, size = settings.door_width_m, cells_in(settings.window_size_m)
-    head = (cells_in(settings.door_head_m[0]), cells_in(settings.door_head_m[1]))
-    sill = (cells_in(settings.window_sill_m[0]), cells_in(settings.window_sill_m[1]))
-    high = (head[0], _CEILING - 1)
-    window = (sill[0] + size, _CEILING - 1)
-    pane = (sill[1], _CEILING - 1)
-    wide = (settings.window_size_m, all_m)
+    width_m = building.door_width_min_m, building.door_width_max_m
+    head = cells_in(building.door_height_min_m), cells_in(building.door_height_max_m)
+    size = cells_in(settings.window_size_m)
+    sill = cells_in(settings.window_sill_m[0]), cells_in(settings.window_sill_m[1])
+    wide = settings.window_size_m, all_m
+    any_sill, any_width = (_THING_ROWS, _CEILING - 1), (0.15, all_m)
     table = {
         Kind.DOORWAY: (anything, foot, head, width_m, settings.door),
         Kind.LEAF_RECESSED: (Material.LEAF_RECESSED, foot, head, width_m, settings.door),
         Kind.LEAF_DEEP: (Material.LEAF_DEEP, foot, head, width_m, settings.door),
         Kind.LEAF_FAR: (Material.LEAF_FAR, foot, head, width_m, settings.door),
-        Kind.WINDOW: (anything, sill, window, wide, settings.opening),
-        Kind.PANE: (anything, foot, pane, wide, settings.pane),
-        Kind.LOW: (away, (6, _CEILING - 1), ceiling, (0.15, all_m), settings.opening),
-        Kind.HANGING: (away, foot, high, (0.15, all_m), settings.hanging),
+        Kind.WINDOW: (anything, sill, (sill[0] + size, _CEILING - 1), wide, settings.opening),
+        Kind.PANE: (anything, foot, (sill[1], _CEILING - 1), wide, settings.pane),
+        Kind.LOW: (away, any_sill, ceiling, any_width, settings.opening),
+        Kind.HANGING: (away, foot, (head[0], _CEILING - 1), any_width, _RARE),
     }
     materials = np.array([[solid, middle, solid] for middle, *_ in table.values()], np.int64)
-    limits = np.array(
-        [(*s, *h, *map(cells_in, w)) for _, s, h, w, _ in table.values()], np.int64
-    )
-    return materials, limits, np.array([price for *_, price in table.values()])
+    limits = np.array([(*s, *h, *map(cells_in, w)) for _, s, h, w, _ in table.values()], np.int64)
+    prices = np.array([price for *_, price in table.values()])
+    knee = cells_in(building.knee_m)
+    return _Grammar(materials, limits, prices, settings.change, settings.pane, knee)
+
+
+# For compiled code.
+_WALL, _GAP, _DOORWAY, _WINDOW, _LOW, _HANGING = map(
+    int, (Kind.WALL, Kind.GAP, Kind.DOORWAY, Kind.WINDOW, Kind.LOW, Kind.HANGING)
+)
+_SOLID, _ANYTHING, _SET_BACK, _BEHIND = map(
+    int, (Material.SOLID, Material.ANYTHING, Material.SET_BACK, Material.BEHIND)
+)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -327,22 +325,15 @@ def _fit(
     first: int,
     after: int,
     limit: int,
-    materials: IntArray,
-    limits: IntArray,
-    prices: FloatArray,
-    no_lintel: float,
-    blind: float,
-    high_end: float,
-    low_sill: float,
-    glass_to_ceiling: float,
-    knee: int,
+    grammar: _Grammar,
     total: FloatArray,
     score: FloatArray,
     band: IntArray,
 ) -> None:  # pragma: no cover
     """Write the best odds of each kind by bands over some columns, and its sill and head.
 
-    limit: rows up to the lowest ceiling of these. total: (m,) of materials, for the sums over all rows.
+    limit: rows up to the lowest ceiling of these. total: (m,) of materials, for the sums over all
+    rows. score, band: (k,) odds and (k, 3) sill, head and blind.
     """
     columns, rows = after - first, sums.shape[1]
     below = np.zeros((min(limit, rows) + 1, sums.shape[2]))
@@ -354,164 +345,162 @@ def _fit(
         for row in range(len(below) - 1, rows):
             total[m] += sums[after, row, m] - sums[first, row, m]
     top = len(below) - 1
-    for k in range(len(materials)):
+    for k in range(len(grammar.materials)):
+        kind, limits = k + _BY_BANDS, grammar.limits[k]
         score[k] = -np.inf
-        if columns < limits[k, 4] or columns > limits[k, 5]:
+        if columns < limits[4] or columns > limits[5]:
             continue
-        low, middle, high = materials[k]
-        to_ceiling = limits[k, 2] >= _CEILING
+        low, middle, high = grammar.materials[k]
+        to_ceiling = limits[2] >= _CEILING
         best, sill = -np.inf, -1
         closed, closed_from, closed_sill = -np.inf, -1, -1
-        last = top - 2 if limits[k, 1] >= _CEILING - 1 else limits[k, 1]
-        for row in range(limits[k, 0], top + 1):
+        last = top - 2 if limits[1] >= _CEILING - 1 else limits[1]
+        for row in range(limits[0], top + 1):
             # A sill at this row, with the band between it and the head.
             if row <= min(last, top):
                 start = below[row, low] - below[row, middle]
-                if limits[k, 0] == limits[k, 1]:
+                if limits[0] == limits[1]:
                     start = 0.0
-                elif k == 4 and row < knee:
-                    start -= low_sill
+                elif kind == _WINDOW and row < grammar.knee:
+                    start -= _LOW_SILL
                 if start > best:
                     best, sill = start, row
             if sill < 0 or to_ceiling:
                 continue
-            if k == 4:  # a window
-                start = best + below[row, middle] - below[row, 6] - blind
+            if kind == _WINDOW:
+                start = best + below[row, middle] - below[row, _SET_BACK] - _UNUSUAL
                 # What hangs is higher than a frame, and than what the lintel's underside returns.
-                if start > closed and row <= top - 4:
+                if start > closed and row <= top - _BLIND_ROWS:
                     closed, closed_from, closed_sill = start, row, sill
-            if row < limits[k, 2] or row > limits[k, 3] or row < sill + 6:
+            if row < limits[2] or row > limits[3] or row < sill + _THING_ROWS:
                 continue
-            value = best + below[row, middle] + total[high] - below[row, high]
-            with_blind = closed + below[row, 6] + total[high] - below[row, high]
-            if row >= closed_from + 4 and with_blind > max(value, score[k]):
+            above = total[high] - below[row, high]
+            value = best + below[row, middle] + above
+            with_blind = closed + below[row, _SET_BACK] + above
+            if row >= closed_from + _BLIND_ROWS and with_blind > max(value, score[k]):
                 score[k] = with_blind
                 band[k, 0], band[k, 1], band[k, 2] = closed_sill, row, closed_from
                 continue
-            if k < 5:  # doors and windows
-                lintel = (total[high] - below[row, high]) - (total[5] - below[row, 5])
-                if row > top - 3 or lintel < 0.3 * columns:
-                    value -= no_lintel if k < 4 else glass_to_ceiling
-            elif k == 7 and row > top - 2:  # hanging down from nothing
+            if kind <= _WINDOW:
+                open_above = total[_ANYTHING] - below[row, _ANYTHING]
+                if row > top - 3 or above - open_above < _LINTEL * columns:
+                    value -= grammar.to_ceiling if kind == _WINDOW else _RARE
+            elif kind == _HANGING and row > top - 2:  # hanging down from nothing
                 continue
             if value > score[k]:
                 score[k], band[k, 0], band[k, 1], band[k, 2] = value, sill, row, row
         if to_ceiling and sill >= 0:
             # Few things end so near the ceiling, or so high.
-            score[k] = best + total[middle] - (high_end if sill > min(top - 7, 45) else 0.0)
+            high_end = _UNUSUAL if sill > min(top - 7, 45) else 0.0
+            score[k] = best + total[middle] - high_end
             band[k, 0], band[k, 1], band[k, 2] = sill, top, top
-        score[k] -= prices[k]
+        score[k] -= grammar.price[k]
 
 
 @numba.njit(cache=True, nogil=True)
-def _parse(
-    sums: FloatArray,
-    top: IntArray,
-    hidden: FloatArray,
-    driven: BoolArray,
-    materials: IntArray,
-    limits: IntArray,
-    kind_prices: FloatArray,
-    prices: FloatArray,
-) -> tuple[IntArray, FloatArray]:  # pragma: no cover
-    """Stretches (n, 7): first, after, kind, sill, head, blind, second kind, and odds (n,)."""
-    columns, rows, kinds = len(sums) - 1, sums.shape[1], 3 + len(materials)
-    change, open_end, no_lintel, chain, blind, high_end, low_sill, to_ceiling = prices[:8]
-    knee = round(prices[8])
-    wall, gap, doorway, window, low, hanging = 0, 1, 3, 7, 9, 10
-    value = np.full((columns + 1, kinds), -np.inf)
-    begin, before = np.zeros((columns + 1, kinds), np.int64), np.full((columns + 1, kinds), -1)
-    bands = np.zeros((columns + 1, kinds, 3), np.int64)
-    # The best parse up to here, of those that end with no opening.
-    closed, closed_kind = np.full(columns + 1, -np.inf), np.full(columns + 1, -1)
-    best, best_kind = np.full(columns + 1, -np.inf), np.full(columns + 1, -1)
-    closed[0], best[0] = 0.0, 0.0
-    whole = np.zeros((columns + 1, sums.shape[2]))
-    for c in range(columns + 1):
-        for row in range(rows):
-            for m in range(sums.shape[2]):
-                whole[c, m] += sums[c, row, m]
-    # No kind beats a wall by more than the cells that are likelier something else.
-    against = np.zeros(columns + 1)
-    for c in range(columns):
+def _gains(sums: FloatArray) -> FloatArray:  # pragma: no cover
+    """(c + 1,) by how much the likeliest materials of all cells beat a wall, summed over columns.
+
+    No kind beats a wall by more over these columns.
+    """
+    gains = np.zeros(len(sums))
+    for c in range(len(sums) - 1):
         gain = 0.0
-        for row in range(rows):
+        for row in range(sums.shape[1]):
             solid, most = sums[c + 1, row, 0] - sums[c, row, 0], -np.inf
             for m in range(sums.shape[2]):
                 most = max(most, sums[c + 1, row, m] - sums[c, row, m])
             gain += most - solid
-        against[c + 1] = against[c] + gain
-    score, band = np.zeros(len(materials)), np.zeros((len(materials), 3), np.int64)
-    rules = materials, limits, kind_prices, no_lintel, blind, high_end, low_sill, to_ceiling, knee
-    total = np.zeros(sums.shape[2])
+        gains[c + 1] = gains[c] + gain
+    return gains
+
+
+@numba.njit(cache=True, nogil=True)
+def _parse(
+    sums: FloatArray, top: IntArray, hidden: FloatArray, driven: BoolArray, grammar: _Grammar
+) -> tuple[IntArray, FloatArray]:  # pragma: no cover
+    """Stretches (n, 7): first, after, kind, sill, head, blind, second kind, and odds (n,).
+
+    sums: (c + 1, rows, m) odds of each cell's materials, summed over columns.
+    """
+    bands = len(grammar.materials)
+    columns, rows, kinds = len(sums) - 1, sums.shape[1], _BY_BANDS + bands
+    value = np.full((columns + 1, kinds), -np.inf)
+    begin, before = np.zeros((columns + 1, kinds), np.int64), np.full((columns + 1, kinds), -1)
+    limits_of = np.zeros((columns + 1, kinds, 3), np.int64)
+    # The best parse up to here, of those that end with no opening.
+    closed, closed_kind = np.full(columns + 1, -np.inf), np.full(columns + 1, -1)
+    best, best_kind = np.full(columns + 1, -np.inf), np.full(columns + 1, -1)
+    closed[0], best[0] = 0.0, 0.0
+    whole, gains = sums.sum(axis=1), _gains(sums)
+    total, score, band = np.zeros(sums.shape[2]), np.zeros(bands), np.zeros((bands, 3), np.int64)
     for j in range(1, columns + 1):
-        for k in range(3):
+        for k in range(_BY_BANDS):
             own = hidden[j - 1]
-            if k == wall:
-                own = whole[j, 0] - whole[j - 1, 0] - (1e6 if driven[j - 1] else 0.0)
-            elif k == gap:
-                own = whole[j, 7] - whole[j - 1, 7]
-            stay = value[j - 1, k]
-            since = best[j - 1] if k == wall else closed[j - 1]
-            enter = since - (0.0 if j == 1 else change)
-            if stay >= enter:
-                value[j, k], begin[j, k], before[j, k] = stay + own, j - 1, k
+            if k == _WALL:
+                own = whole[j, _SOLID] - whole[j - 1, _SOLID]
+                own -= 1e6 if driven[j - 1] else 0.0
+            elif k == _GAP:
+                own = whole[j, _BEHIND] - whole[j - 1, _BEHIND]
+            since = best[j - 1] if k == _WALL else closed[j - 1]
+            enter = since - (0.0 if j == 1 else grammar.change)
+            if value[j - 1, k] >= enter:
+                value[j, k], begin[j, k], before[j, k] = value[j - 1, k] + own, j - 1, k
             else:
                 value[j, k], begin[j, k] = enter + own, j - 1
-                before[j, k] = best_kind[j - 1] if k == wall else closed_kind[j - 1]
+                before[j, k] = best_kind[j - 1] if k == _WALL else closed_kind[j - 1]
         limit, crossed = rows, 0
         for i in range(j - 1, max(j - _STRETCH_MAX - 1, -1), -1):
             limit, crossed = min(limit, top[i]), crossed + int(driven[i])
-            if j - i < 3 or (against[j] - against[i] < change and crossed == 0):
+            if j - i < 3 or (gains[j] - gains[i] < grammar.change and crossed == 0):
                 continue
-            _fit(sums, i, j, limit, *rules, total, score, band)
-            for b in range(len(materials)):
-                k, own = 3 + b, score[b]
-                if own == -np.inf or (crossed > 0 and k != doorway and k != hanging):
+            _fit(sums, i, j, limit, grammar, total, score, band)
+            for b in range(bands):
+                k, own = _BY_BANDS + b, score[b]
+                passable = k in (_DOORWAY, _HANGING)
+                if own == -np.inf or (crossed > 0 and not passable):
                     continue
-                is_opening = k < low
+                is_opening = k < _LOW
                 if is_opening:
-                    since, last = value[i, wall] - change, wall
+                    since, last = value[i, _WALL] - grammar.change, _WALL
                     if i == 0:
-                        since, last = -open_end, -1
+                        since, last = -_OPEN_END, -1
                     if j == columns:
-                        own -= open_end
+                        own -= _OPEN_END
                 else:
-                    since, last = closed[i] - (change if i > 0 else 0.0), closed_kind[i]
-                if i > 0 and k >= window:
-                    next_ = value[i, k] - (chain if is_opening else 0.25 * chain)
+                    since = closed[i] - (grammar.change if i > 0 else 0.0)
+                    last = closed_kind[i]
+                if i > 0 and k >= _WINDOW:
+                    next_ = value[i, k] - (_CHAIN if is_opening else _NEXT_PIECE)
                     if next_ > since:
                         since, last = next_, k
                 if since + own > value[j, k]:
                     value[j, k], begin[j, k], before[j, k] = since + own, i, last
-                    bands[j, k] = band[b]
+                    limits_of[j, k] = band[b]
         for k in range(kinds):
             if value[j, k] > best[j]:
                 best[j], best_kind[j] = value[j, k], k
-            if (k < doorway or k >= low) and value[j, k] > closed[j]:
+            is_opening = _DOORWAY <= k < _LOW
+            if not is_opening and value[j, k] > closed[j]:
                 closed[j], closed_kind[j] = value[j, k], k
     found = np.zeros((columns, 7), np.int64)
     odds, count = np.zeros(columns), 0
     j, k = columns, best_kind[columns]
     while j > 0 and k >= 0:
         i, last = begin[j, k], before[j, k]
-        while last == k and k < doorway and i > 0:  # a run, column by column
+        while last == k and k < _BY_BANDS and i > 0:  # a run, column by column
             i, last = begin[i, k], before[i, k]
-        limit = rows
-        for c in range(i, j):
-            limit = min(limit, top[c])
-        _fit(sums, i, j, limit, *rules, total, score, band)
-        simple = np.array([total[0], total[7], hidden[i:j].sum()])
-        own = simple[k] if k < doorway else score[k - 3]
-        most, second = -np.inf, wall
+        _fit(sums, i, j, min(rows, top[i:j].min()), grammar, total, score, band)
+        simple = total[_SOLID], total[_BEHIND], hidden[i:j].sum()
+        every = np.concatenate((np.array(simple), score))
+        most, second = -np.inf, _WALL
         for other in range(kinds):
-            its = simple[other] if other < doorway else score[other - 3]
             # A wall's openings are its own: what it competes with is what is no wall.
-            of_wall = k == wall and doorway <= other < low
-            if other != k and not of_wall and its > most:
-                most, second = its, other
+            of_wall = k == _WALL and _DOORWAY <= other < _LOW
+            if other != k and not of_wall and every[other] > most:
+                most, second = every[other], other
         found[count, :3] = i, j, k
-        found[count, 3:6], found[count, 6] = bands[j, k], second
-        odds[count] = own - most
+        found[count, 3:6], found[count, 6] = limits_of[j, k], second
+        odds[count] = every[k] - most
         count, j, k = count + 1, i, last
     return found[:count][::-1], odds[:count][::-1]

@@ -47,8 +47,6 @@ _FRONT_MIN_M, _FRONT_SHARE, _PURITY_MIN = 0.5, (0.01, 0.25), 0.7
 least share of what returns near that it returned."""
 _AJAR_M = 0.1
 """Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
-_SILL_SEEN_M = 0.7
-"""Height (m) up to which a sill has to show."""
 _JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
 """Least share, and number of columns, of a face that is wall down to the floor: what is open below all along hangs."""
 
@@ -62,16 +60,20 @@ class ParsedFaces:
 
     @classmethod
     def of(
-        cls, faces: TracedFaces, path_map: FloatArray, robot_m: float, settings: ParseSettings
+        cls,
+        faces: TracedFaces,
+        path_map: FloatArray,
+        building: BuildingSettings,
+        settings: ParseSettings,
     ) -> "ParsedFaces":
-        """Parse all faces. path_map: (n, 2) the robot's places, of a robot of half that width."""
+        """Parse all faces. path_map: (n, 2) the robot's places."""
         top = np.maximum((faces.top_m - CEILING_MARGIN_M) / CELL_M, FOOT_ROW).astype(np.int64)
-        driven = faces.visited(path_map, robot_m)
+        driven = faces.visited(path_map, building.robot_m)
         found = []
         for w in range(len(faces)):
             own = faces.columns(w)
             evidence = faces.evidence.ended[own], faces.evidence.depth_sum[own]
-            found.append(parse_face(*evidence, top[own], driven[own], settings))
+            found.append(parse_face(*evidence, top[own], driven[own], building, settings))
         return cls(faces, tuple(found))
 
     def gaps_as_panes(self) -> "ParsedFaces":
@@ -124,7 +126,7 @@ def judge(
             own_odds = sum(s.odds for s in stretches if first <= s.first < after)
             if doubtful[w] and own_odds < odds_min:
                 refused.append((w, first, after, FaceVerdict.ALONE))
-            elif has_jambs(stretches, first, after, ended):
+            elif has_jambs(stretches, first, after, ended, settings.knee_m):
                 kept.append((w, first, after))
             else:
                 refused.append((w, first, after, FaceVerdict.HANGS))
@@ -166,10 +168,12 @@ def mostly_stands(parsed: ParsedFaces) -> BoolArray:
     return found
 
 
-def has_jambs(stretches: list[Stretch], first: int, after: int, ended: FloatArray) -> bool:
+def has_jambs(
+    stretches: list[Stretch], first: int, after: int, ended: FloatArray, knee_m: float
+) -> bool:
     """Whether enough of some columns of a face is wall that rays end on, down to the floor."""
     # A window's sill is wall down to the floor, too.
-    below = {Kind.WALL: slice(None), Kind.WINDOW: slice(FOOT_ROW, cells_in(_SILL_SEEN_M))}
+    below = {Kind.WALL: slice(None), Kind.WINDOW: slice(FOOT_ROW, cells_in(knee_m))}
     own = [s for s in stretches if first <= s.first < after and s.kind in below]
     on = sum(int((ended[s.columns, below[s.kind], ON].sum(axis=1) > 0).sum()) for s in own)
     return on >= max(_JAMBS_MIN * (after - first), _JAMB_COLUMNS)

@@ -101,13 +101,6 @@ def column_places(walls: Walls, first: IntArray, before_m: float = 0.2) -> Float
     return places
 
 
-def visited(places: FloatArray, path_map: FloatArray, robot_m: float) -> BoolArray:
-    """(k,) whether the robot drove at places (k, 2): its own (n, 2) are closer than `robot_m`."""
-    if not len(places) or not len(path_map):
-        return np.zeros(len(places), bool)
-    return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
-
-
 @dataclass(frozen=True)
 class TracedFaces:
     """Wall faces and what is known of each of their columns.
@@ -156,15 +149,12 @@ class TracedFaces:
             ends[i] = face.at(np.array([first * CELL_M, last_m]))
         return replace(self.walls.select(np.array([s[0] for s in stretches])), ends=ends)
 
-    def part(self, stretches: list[tuple[int, int, int]]) -> "TracedFaces":
-        """The same as `cut`, with what is known of the columns."""
-        columns, evidence = self.evidence.part(stretches)
-        clear_m, ground_m = self.clear_m[columns], self.ground_m[columns]
-        return TracedFaces(self.cut(stretches), evidence, clear_m, ground_m)
-
     def visited(self, path_map: FloatArray, robot_m: float) -> BoolArray:
         """(columns,) where the robot drove: its places (n, 2) are closer than `robot_m`."""
-        return visited(column_places(self.walls, self.evidence.first, 0.0), path_map, robot_m)
+        places = column_places(self.walls, self.evidence.first, 0.0)
+        if not len(places) or not len(path_map):
+            return np.zeros(len(places), bool)
+        return np.asarray(cKDTree(path_map).query(places)[0] < robot_m)
 
 
 def room_before(faces: Walls, storey: Storey) -> BoolArray:

@@ -5,9 +5,7 @@ is left for chords of round walls. Each line is parsed like a face, from both it
 show itself as a wall where a face that scans saw as a plane may stay hidden.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import reduce
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -19,11 +17,11 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.evidence import ON
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls, cells_in
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.parse import DOORS, OF_WALLS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, has_jambs, standing
-from ffmap.algorithms.building.storey import CEILING_NEAR_M, Storey, TracedFaces
-from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY, wall_directions
+from ffmap.algorithms.building.storey import TracedFaces
+from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY
 from ffmap.algorithms.building.votes import VoxelVotes
 
 Line = tuple[FloatArray, FloatArray]
@@ -52,92 +50,43 @@ class UnseenWallsSettings(StepSettings):
     shelf_m: float = Field(
         0.6, gt=0, description="Maximum depth (m) of shelves, whose boards' edges seem a pane."
     )
-    chord_m: float = Field(
-        0.35, gt=0, description="Minimum length (m) of a chord of a round wall."
-    )
+    chord_m: float = Field(0.35, gt=0, description="Minimum length (m) of a chord of a round wall.")
     odds_min: float = Field(
         10.0, ge=0, description="Least odds (nats) of a wall against the next kind: it must show."
     )
     returns_min: int = Field(20, ge=1, description="Least returns that prove it.")
 
 
-def find_unseen_walls(
-    walls: Walls,
-    refused: Walls,
-    votes: VoxelVotes,
-    storey: Storey,
-    align: Callable[[Walls], Walls],
-    parse: Callable[[Walls], ParsedFaces],
-    gap_m: float,
-    direction_share_min: float,
-    settings: UnseenWallsSettings,
-) -> Walls:
-    """Walls among the lines that no face explains, neither walls nor refused ones.
+@dataclass(frozen=True)
+class Columns:
+    """Upright columns of voxels.
 
-    align: lays faces along the returns. parse: traces and parses faces.
+    place: (m, 2) x and y. weight: (m,) voxels in each, many as few. top_m: (m,) z of the highest.
     """
-    found = NO_WALLS
-    for round_ in range(2):
-        known = walls.append(found)
-        if round_ == 0:
-            candidates = lines_along(walls, refused, votes, gap_m, direction_share_min, settings)
-        else:
-            place, _, top_m = unexplained_columns(votes, known, refused, settings.explained_m)
-            clear_m = storey.clear_m(place, CEILING_NEAR_M)
-            is_high = top_m - storey.ground_m(place) > np.fmin(clear_m - 0.35, 2.25)
-            candidates = _new(lines_of_any_direction(place[is_high], settings), known, settings)
-        if len(candidates):
-            parsed = parse(align(candidates))
-            count = len(parsed.stretches)
-            more = [_walls_of(parsed, w, known, gap_m, settings) for w in range(count)]
-            found = reduce(Walls.append, more, found)
+
+    place: FloatArray
+    weight: FloatArray
+    top_m: FloatArray
+
+
+def walls_of(
+    parsed: ParsedFaces, known: Walls, building: BuildingSettings, settings: UnseenWallsSettings
+) -> Walls:
+    """The stretches of parsed lines that show themselves as walls; `known` faces are no part."""
+    faces, found = parsed.faces, NO_WALLS
+    for w, stretches in enumerate(parsed.stretches):
+        ended = faces.evidence.ended[faces.columns(w)]
+        crossed = _crossed_by(known, faces.walls, w, len(ended))
+        seen = np.isfinite(faces.clear_m[faces.columns(w)]) & ~crossed
+        for first, after in standing(stretches, cells_in(building.gap_m)):
+            own = [s for s in stretches if first <= s.first < after and s.kind in OF_WALLS]
+            on = sum(float(ended[s.columns, :, ON].sum()) for s in own if s.kind == Kind.WALL)
+            shows = sum(s.odds for s in own) >= settings.odds_min and on >= settings.returns_min
+            open_columns = sum(s.after - s.first for s in own if s.kind in DOORS)
+            is_free = seen[first:after].mean() > 0.5 and 2 * open_columns < after - first
+            if shows and is_free and has_jambs(stretches, first, after, ended, building.knee_m):
+                found = found.append(_as_seen(faces, (w, first, after)))
     return found
-
-
-def lines_along(
-    walls: Walls,
-    refused: Walls,
-    votes: VoxelVotes,
-    gap_m: float,
-    direction_share_min: float,
-    settings: UnseenWallsSettings,
-) -> Walls:
-    """Lines of returns along the walls' directions that no face explains, from both sides."""
-    directions = wall_directions(walls, direction_share_min)
-    place, weight, _ = unexplained_columns(votes, walls, refused, settings.explained_m)
-    lines = straight_lines(place, weight, directions, settings.half_thickness_m, gap_m)
-    return _new(lines, walls, settings)
-
-
-def _new(lines: list[Line], known: Walls, settings: UnseenWallsSettings) -> Walls:
-    """The lines as faces, from both sides, but for what is known and what nobody can stand at."""
-    if not lines:
-        return NO_WALLS
-    both = both_sides(lines)
-    middles = both.ends.mean(axis=1)
-    faced = near_a_face(middles, -both.normal, known, 0.0, settings.faced_m)
-    beside = near_a_face(middles, both.normal, known, -settings.beside_m, settings.beside_m)
-    return both.select(~faced & ~beside)
-
-
-def _walls_of(
-    parsed: ParsedFaces, w: int, known: Walls, gap_m: float, settings: UnseenWallsSettings
-) -> Walls:
-    """The stretches of a parsed line that show themselves as walls."""
-    faces, stretches = parsed.faces, parsed.stretches[w]
-    ended = faces.evidence.ended[faces.columns(w)]
-    crossed = _crossed_by(known, faces.walls, w, len(ended))
-    seen = np.isfinite(faces.clear_m[faces.columns(w)]) & ~crossed
-    found = []
-    for first, after in standing(stretches, cells_in(gap_m)):
-        own = [s for s in stretches if first <= s.first < after and s.kind in OF_WALLS]
-        on = sum(float(ended[s.columns, :, ON].sum()) for s in own if s.kind == Kind.WALL)
-        shows = sum(s.odds for s in own) >= settings.odds_min and on >= settings.returns_min
-        open_columns = sum(s.after - s.first for s in own if s.kind in DOORS)
-        is_free = seen[first:after].mean() > 0.5 and 2 * open_columns < after - first
-        if shows and is_free and has_jambs(stretches, first, after, ended):
-            found.append((w, first, after))
-    return reduce(Walls.append, (_as_seen(faces, part) for part in found), NO_WALLS)
 
 
 def _as_seen(faces: TracedFaces, part: tuple[int, int, int]) -> Walls:
@@ -157,12 +106,19 @@ def _as_seen(faces: TracedFaces, part: tuple[int, int, int]) -> Walls:
     )
 
 
-def both_sides(lines: list[Line]) -> Walls:
-    """The lines as faces: which side each is seen from is not known yet, so both are tried."""
+def both_sides(lines: list[Line], known: Walls, settings: UnseenWallsSettings) -> Walls:
+    """The lines as faces: which side each is seen from is not known yet, so both are tried.
+
+    Left out is what is a known face's own, and where nobody can stand.
+    """
     ends = np.array([e for e, _ in lines]).reshape(-1, 2, 2)
     normal = np.array([n for _, n in lines]).reshape(-1, 2)
-    faces = unseen_faces(ends, normal, np.full(len(ends), _TRACED_TO_M))
-    return faces.append(unseen_faces(ends[:, ::-1], -normal, np.full(len(ends), _TRACED_TO_M)))
+    top_m = np.full(len(ends), _TRACED_TO_M)
+    both = unseen_faces(ends, normal, top_m).append(unseen_faces(ends[:, ::-1], -normal, top_m))
+    middles = both.ends.mean(axis=1)
+    faced = near_a_face(middles, -both.normal, known, 0.0, settings.faced_m)
+    beside = near_a_face(middles, both.normal, known, -settings.beside_m, settings.beside_m)
+    return both.select(~faced & ~beside)
 
 
 def unseen_faces(ends: FloatArray, normal: FloatArray, top_m: FloatArray) -> Walls:
@@ -179,45 +135,38 @@ def unseen_faces(ends: FloatArray, normal: FloatArray, top_m: FloatArray) -> Wal
     )
 
 
-def unexplained_columns(
-    votes: VoxelVotes, walls: Walls, refused: Walls, explained_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Upright columns of voxels that no face explains.
-
-    Returns x and y (m, 2), the number of voxels (m,) in each, and z of the highest (m,).
-    """
+def unexplained_columns(votes: VoxelVotes, faces: Walls, settings: UnseenWallsSettings) -> Columns:
+    """Upright columns of voxels that no face explains, neither walls nor refused ones."""
     label = votes.label
     unexplained = (label == Label.CLUTTER) | (label == Label.WALL)
     unexplained &= votes.counts.max(axis=1, initial=0) > 0
     position, count = votes.mean_position[unexplained], votes.point_count[unexplained]
     free = np.ones(len(position), bool)
-    free[pairs_near(walls.append(refused), position, explained_m)[0]] = False
+    free[pairs_near(faces, position, settings.explained_m)[0]] = False
     position, count = position[free], count[free]
     cell = np.floor(position[:, :2] / CELL_M).astype(np.int64)
     _, column = np.unique(cell, axis=0, return_inverse=True)
     column = column.ravel()
     columns = int(column.max(initial=-1)) + 1
-    weight = np.bincount(column, count, columns)
+    returns = np.bincount(column, count, columns)
     sums = [np.bincount(column, count * position[:, axis], columns) for axis in (0, 1)]
-    place = np.stack([total / weight for total in sums], axis=1)
+    place = np.stack([total / returns for total in sums], axis=1)
     cubes = np.bincount(column, minlength=columns)
     top_m = np.full(columns, -np.inf)
     np.maximum.at(top_m, column, position[:, 2])
     stands = cubes >= 3
-    return place[stands], np.minimum(cubes[stands], 20).astype(np.float64), top_m[stands]
+    weight = np.minimum(cubes[stands], 20).astype(np.float64)
+    return Columns(place[stands], weight, top_m[stands])
 
 
 def straight_lines(
-    place: FloatArray,
-    weight: FloatArray,
-    normals: FloatArray,
-    half_thickness_m: float,
-    gap_m: float,
+    columns: Columns, normals: FloatArray, gap_m: float, settings: UnseenWallsSettings
 ) -> list[Line]:
     """Stretches of columns in line, the strongest first, each column in one.
 
-    half_thickness_m: of their returns. gap_m: no gap within one is longer.
+    normals: (k, 2) the lines' directions. gap_m: no gap within one is longer.
     """
+    place, weight, half_thickness_m = columns.place, columns.weight, settings.half_thickness_m
     bin_m = 0.5 * half_thickness_m
     left = np.ones(len(place), bool)
     across = [place @ normal for normal in normals]

@@ -10,7 +10,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import NO_WALLS, Walls
+from ffmap.algorithms.building.model import Walls
 
 ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
@@ -43,9 +43,6 @@ class StandingWallsSettings(StepSettings):
         ge=0,
         le=1,
         description="Minimum share of the faces' length that makes a direction one of the walls'.",
-    )
-    robot_m: float = Field(
-        0.1, ge=0, description="Half the width (m) of the narrowest robot: no wall is nearer."
     )
 
 
@@ -88,7 +85,6 @@ class JudgedFaces:
 _REFUSED_LABELS = np.full(len(FaceVerdict), Label.CLUTTER, np.uint8)
 _REFUSED_LABELS[FaceVerdict.OUTSIDE] = Label.OUTSIDE
 
-NO_JUDGED_FACES = JudgedFaces(NO_WALLS, NO_WALLS, np.zeros(0, np.uint8))
 
 
 def join_corners(walls: Walls, settings: StandingWallsSettings) -> Walls:

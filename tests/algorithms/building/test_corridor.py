@@ -14,7 +14,6 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling, RelabellingSettings
 from ffmap.algorithms.building.model import (
-    NO_BLINDS,
     NO_DOORS,
     BuildingSettings,
     Doors,
@@ -30,7 +29,6 @@ from ffmap.algorithms.building.settle import (
     windows_of,
 )
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
-from ffmap.algorithms.building.verdicts import NO_JUDGED_FACES
 from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings
@@ -40,7 +38,7 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from tests.corridor import HEIGHT_M, Hole, labelled, share
 from tests.drawing import draw_furniture_free
-from tests.faces import traced
+from tests.faces import NO_BLINDS, NO_JUDGED_FACES, traced
 from tests.tracing import traced_by
 
 SETTINGS, FRAMES = BuildingSettings(), DoorFramesSettings()
@@ -49,7 +47,7 @@ SETTINGS, FRAMES = BuildingSettings(), DoorFramesSettings()
 def openings_of(walls: Walls, features: Features) -> Openings:
     """What is open in the faces, below a ceiling over all of the corridor."""
     faces = traced(walls, traced_by(walls, features), HEIGHT_M)
-    parsed = ParsedFaces.of(faces, np.zeros((0, 2)), 0.1, ParseSettings())
+    parsed = ParsedFaces.of(faces, np.zeros((0, 2)), BuildingSettings(), ParseSettings())
     return find_openings(parsed, lambda within: traced_by(within, features, at_ends=True))
 
 

@@ -380,17 +380,6 @@ def test_faces_and_stretches_of_them_are_taken_out_and_joined() -> None:
     assert (low.rows, len(low)) == (30, 2)
     np.testing.assert_array_equal(low.ended, whole.ended[: low.first[-1], :30])
     assert joined([], 30).ended.shape == (0, 30, 6)
-    counts = np.diff(whole.first)
-    stretches = [(4, 1, int(counts[4])), (0, 0, 3), (4, 2, 2), (0, 1, 4)]
-    columns, part = whole.part(stretches)
-    assert np.diff(part.first).tolist() == [counts[4] - 1, 3, 0, 3]
-    for name in NAMES[1:]:
-        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[columns])
-    assert columns.tolist() == [
-        whole.first[w] + c for w, first, after in stretches for c in range(first, after)
-    ]
-    columns, part = whole.part([])
-    assert (len(columns), len(part), len(part.ended)) == (0, 0, 0)
 
 
 def test_what_some_rays_found_is_taken_off() -> None:

@@ -9,7 +9,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import index_near
 from ffmap.algorithms.building import final_labels
-from ffmap.algorithms.building.face_foreground import NO_FOREGROUND, Foreground
+from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.final_labels import (
     ODDS_MAX,
     BuildingModel,
@@ -19,7 +19,6 @@ from ffmap.algorithms.building.final_labels import (
 )
 from ffmap.algorithms.building.model import (
     CELL_M,
-    NO_BLINDS,
     NO_DOORS,
     NO_WALLS,
     NO_WINDOWS,
@@ -30,8 +29,9 @@ from ffmap.algorithms.building.model import (
     one_door,
 )
 from ffmap.algorithms.building.panels import Kind
-from ffmap.algorithms.building.verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
+from ffmap.algorithms.building.verdicts import FaceVerdict, JudgedFaces
 from ffmap.algorithms.scan.doors import DoorState
+from tests.faces import NO_BLINDS, NO_FOREGROUND, NO_JUDGED_FACES
 
 SETTINGS = RelabellingSettings()
 SENSOR = np.array([2.0, -2.0, 1.0])

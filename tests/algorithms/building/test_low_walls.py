@@ -9,7 +9,7 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.building.evidence import BEYOND, ON
 from ffmap.algorithms.building.low_walls import LowWallsSettings, along_low_walls, find_low_walls
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls
 from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.settle import ParsedFaces
 from tests.faces import faces, traced
@@ -20,7 +20,7 @@ SETTINGS = LowWallsSettings()
 
 def parsed_of(walls: Walls, painted: list[Painted], ceiling_m: float = 2.8) -> ParsedFaces:
     known = traced(walls, evidence_of(*painted), ceiling_m)
-    return ParsedFaces.of(known, np.zeros((0, 2)), 0.1, ParseSettings())
+    return ParsedFaces.of(known, np.zeros((0, 2)), BuildingSettings(), ParseSettings())
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.building.evidence import BEYOND, FOOT_ROW, LAYERS_M, ON
+from ffmap.algorithms.building.model import CELL_M, BuildingSettings
 from ffmap.algorithms.building.parse import (
     SHARES,
     Kind,
@@ -19,7 +20,7 @@ from ffmap.algorithms.building.parse import (
     parse_face,
 )
 
-SETTINGS = ParseSettings()
+SIZES, SETTINGS = BuildingSettings(), ParseSettings()
 COLUMNS, CEILING, ROWS = 80, 54, 64
 """A face of 4 m in a room of 2.7 m, and rows of cells in all."""
 NOISE_M = 0.015
@@ -60,10 +61,10 @@ class Face:
     driven: BoolArray
 
     def parse(self) -> list[Stretch]:
-        return parse_face(self.ended, self.depth_sum, self.top, self.driven, SETTINGS)
+        return parse_face(self.ended, self.depth_sum, self.top, self.driven, SIZES, SETTINGS)
 
     def odds(self, settings: ParseSettings = SETTINGS) -> FloatArray:
-        return material_odds(self.ended, self.depth_sum, self.top, settings)
+        return material_odds(self.ended, self.depth_sum, self.top, SIZES.recess_min_m, settings)
 
     def where(self, known: BoolArray) -> "Face":
         """The same, of which only some cells (columns, rows) were seen."""
@@ -418,14 +419,15 @@ def faces(draw_: st.DrawFn, rays_min: float = 0.5) -> Face:
 def test_stretches_cover_each_face_once(face: Face) -> None:
     stretches = face.parse()
     assert_covers(stretches, len(face.top))
-    limits = SETTINGS.door_width_m, SETTINGS.door_head_m
     for own in stretches:
         assert np.isfinite(own.odds)
         if own.kind >= DOORWAY:
             assert FOOT_ROW <= own.sill <= own.blind <= own.head <= face.top[own.columns].min()
         if own.kind in (DOORWAY, *LEAF_KINDS):
-            assert limits[0][0] - 1e-9 <= own.width_m <= limits[0][1] + 1e-9
-            assert limits[1][0] / 0.05 - 1e-9 <= own.head <= limits[1][1] / 0.05 + 1e-9
+            assert own.width_m - SIZES.door_width_min_m >= -1e-9
+            assert own.width_m <= SIZES.door_width_max_m + 1e-9
+            lowest, highest = SIZES.door_height_min_m, SIZES.door_height_max_m
+            assert lowest / CELL_M - 1e-9 <= own.head <= highest / CELL_M + 1e-9
         if own.kind in (WALL, *LEAF_KINDS):
             assert not face.driven[own.columns].any()
 

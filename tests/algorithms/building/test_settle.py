@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ffmap.algorithms.building.evidence import BEYOND, DEEP, FAR, ON, RECESS
+from ffmap.algorithms.building.evidence import BEYOND, DEEP, FAR, ON, RECESS, joined
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings
 from ffmap.algorithms.building.parse import OPENINGS, ParseSettings
 from ffmap.algorithms.building.settle import (
@@ -22,7 +22,7 @@ from ffmap.algorithms.building.settle import (
 from ffmap.algorithms.building.verdicts import FaceVerdict, JudgedFaces
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import faces, traced
-from tests.painted import Painted, evidence_of, wall
+from tests.painted import Painted, evidence_of, part, wall
 
 SETTINGS = BuildingSettings()
 DOOR, DOOR_M = (2.0, 2.9), (0.0, 2.1)
@@ -32,7 +32,7 @@ WINDOW, WINDOW_M = (1.0, 3.0), (0.9, 2.2)
 def parsed(face: Painted) -> ParsedFaces:
     """Of a face from (0, 0) along x."""
     known = traced(faces(((0.0, 0.0), (face.columns * CELL_M, 0.0))), evidence_of(face), 2.8)
-    return ParsedFaces.of(known, np.zeros((0, 2)), 0.1, ParseSettings())
+    return ParsedFaces.of(known, np.zeros((0, 2)), BuildingSettings(), ParseSettings())
 
 
 def judged(face: Painted, is_doubtful: bool = False) -> JudgedFaces:
@@ -42,8 +42,9 @@ def judged(face: Painted, is_doubtful: bool = False) -> JudgedFaces:
 def opened(face: Painted) -> Openings:
     """The openings of one face, into which all rays tell the same as at its cells."""
     found = parsed(face)
-    own = [(0, s.first, s.after) for s in found.stretches[0] if s.kind in OPENINGS]
-    return find_openings(found, lambda _: found.faces.part(own).evidence)
+    evidence, stretches = found.faces.evidence, found.stretches[0]
+    own = [part(evidence, s.first, s.after) for s in stretches if s.kind in OPENINGS]
+    return find_openings(found, lambda _: joined(own, evidence.rows))
 
 
 def test_a_wall_stands_with_its_doors_and_windows() -> None:

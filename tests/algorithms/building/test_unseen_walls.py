@@ -8,22 +8,26 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.building.evidence import BEYOND, ON
 from ffmap.algorithms.building.levels import LevelsSettings
-from ffmap.algorithms.building.model import NO_WALLS, Walls
+from ffmap.algorithms.building.model import NO_WALLS, BuildingSettings, Walls
 from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.settle import ParsedFaces
 from ffmap.algorithms.building.storey import Storey, TracedFaces
 from ffmap.algorithms.building.unseen_walls import (
+    Columns,
     UnseenWallsSettings,
-    find_unseen_walls,
+    both_sides,
     lines_of_any_direction,
     straight_lines,
+    unexplained_columns,
+    walls_of,
 )
+from ffmap.algorithms.building.verdicts import wall_directions
 from ffmap.algorithms.building.votes import VoxelVotes
 from tests.faces import CEILING_M, faces
 from tests.painted import Painted, evidence_of
 from tests.voting import vote
 
-SETTINGS = UnseenWallsSettings()
+SIZES, SETTINGS = BuildingSettings(), UnseenWallsSettings()
 KNOWN = faces(((-1.0, 0.0), (5.0, 0.0)))
 
 
@@ -34,14 +38,18 @@ def columns(start: tuple[float, float], stop: tuple[float, float], seed: int = 0
     return on + np.random.default_rng(seed).normal(0.0, 0.008, on.shape)
 
 
+def many(place: FloatArray) -> Columns:
+    """Columns of many voxels."""
+    return Columns(place, np.full(len(place), 9.0), np.full(len(place), CEILING_M))
+
+
 @pytest.mark.parametrize("turn_deg", [0.0, 17.0, 63.0])
 def test_lines_along_the_walls_are_found_strongest_first(turn_deg: float) -> None:
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
     turn = np.array([[c, s], [-s, c]])
     stray = np.random.default_rng(1).uniform(0.0, 3.0, (15, 2))
     place = [columns((3.0, 0.5), (3.0, 2.0)), columns((0.0, 2.5), (2.5, 2.5), seed=2), stray]
-    weight = np.full(sum(map(len, place)), 9.0)
-    lines = straight_lines(np.concatenate(place) @ turn, weight, np.eye(2) @ turn, 0.04, 0.6)
+    lines = straight_lines(many(np.concatenate(place) @ turn), np.eye(2) @ turn, 0.6, SETTINGS)
     ends = np.array([ends for ends, _ in lines[:2]]) @ turn.T
     expected = [[[0.0, 2.5], [2.5, 2.5]], [[3.0, 0.5], [3.0, 2.0]]]
     np.testing.assert_allclose(np.sort(ends, axis=1), expected, atol=0.06)
@@ -51,9 +59,9 @@ def test_lines_along_the_walls_are_found_strongest_first(turn_deg: float) -> Non
 def test_a_straight_line_has_no_gap_longer_than_a_walls() -> None:
     place = np.concatenate([columns((0.0, 0.0), (2.0, 0.0)), columns((3.0, 0.0), (4.0, 0.0))])
     for gap_m, count in ((0.6, 2), (1.2, 1)):
-        found = straight_lines(place, np.full(len(place), 9.0), np.array([[0.0, 1.0]]), 0.04, gap_m)
+        found = straight_lines(many(place), np.array([[0.0, 1.0]]), gap_m, SETTINGS)
         assert len(found) == count
-    assert straight_lines(place, np.full(len(place), 9.0), np.zeros((0, 2)), 0.04, 0.6) == []
+    assert straight_lines(many(place), np.zeros((0, 2)), 0.6, SETTINGS) == []
 
 
 def test_a_round_wall_is_found_as_chords_and_what_is_strewn_is_none() -> None:
@@ -98,20 +106,20 @@ def found(
     """
     votes, storey = room(top_m), Storey.of(room(top_m), (), LevelsSettings())
 
-    def parse(lines: Walls) -> ParsedFaces:
-        painted = []
-        for face, normal in zip(segments(lines), lines.normal, strict=True):
-            own = Painted(int(np.ceil(face.length_m / 0.05)))
-            own.paint((0.0, 99.0), (0.0, CEILING_M), BEYOND)
-            if normal[0] < -0.9 and np.abs(face.start[0] - 3.0) < 0.03:
-                own.paint((0.0, 99.0), (0.0, top_m), ON)
-                own.paint((0.0, 99.0), (seen_m, 3.0), ON, rays=0.0)
-            painted.append(own)
-        traced = TracedFaces.of(lines, evidence_of(*painted), storey)
-        return ParsedFaces.of(traced, np.zeros((0, 2)), 0.1, ParseSettings())
-
-    rules = 0.6, 0.04, SETTINGS
-    return find_unseen_walls(known, refused, votes, storey, lambda lines: lines, parse, *rules)
+    columns = unexplained_columns(votes, known.append(refused), SETTINGS)
+    lines = straight_lines(columns, wall_directions(known, 0.04), SIZES.gap_m, SETTINGS)
+    candidates = both_sides(lines, known, SETTINGS)
+    painted = []
+    for face, normal in zip(segments(candidates), candidates.normal, strict=True):
+        own = Painted(int(np.ceil(face.length_m / 0.05)))
+        own.paint((0.0, 99.0), (0.0, CEILING_M), BEYOND)
+        if normal[0] < -0.9 and np.abs(face.start[0] - 3.0) < 0.03:
+            own.paint((0.0, 99.0), (0.0, top_m), ON)
+            own.paint((0.0, 99.0), (seen_m, 3.0), ON, rays=0.0)
+        painted.append(own)
+    traced = TracedFaces.of(candidates, evidence_of(*painted), storey)
+    parsed = ParsedFaces.of(traced, np.zeros((0, 2)), SIZES, ParseSettings())
+    return walls_of(parsed, known, SIZES, SETTINGS)
 
 
 def test_a_wall_that_no_scan_alone_told_is_found_on_the_side_that_it_is_seen_from() -> None:

@@ -12,7 +12,7 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.heights import HeightMap, Surface
 from ffmap.algorithms.building.model import Blinds
-from ffmap.algorithms.building.verdicts import NO_JUDGED_FACES, FaceVerdict, JudgedFaces
+from ffmap.algorithms.building.verdicts import FaceVerdict, JudgedFaces
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
 from ffmap.app.record.building_reasons import building_document
@@ -24,7 +24,7 @@ from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
 from tests import synthetic
 from tests.app.record.recordings import rows, start, static, vectors
-from tests.faces import doors, faces, window
+from tests.faces import NO_JUDGED_FACES, doors, faces, window
 
 WALLS = faces(((0.0, 0.0), (4.0, 0.0)))
 DOOR = doors(
