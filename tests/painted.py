@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray
-from ffmap.algorithms.building.evidence import BEYOND, ON, Evidence
+from ffmap.algorithms.building.evidence import BEYOND, NEAR, ON, Evidence
 from ffmap.algorithms.building.model import CELL_M
 
 ROWS = 60
@@ -51,8 +51,8 @@ def wall(length_m: float, top_m: float = 2.8) -> Painted:
 
 def part(face: Evidence, first: int, after: int) -> Evidence:
     """Some columns of one face's evidence."""
-    own = face.ended[first:after], face.depth_sum[first:after], face.depth_squares[first:after]
-    return Evidence(np.array([0, after - first]), *own)
+    sums = face.ended, face.depth_sum, face.depth_squares, face.light
+    return Evidence(np.array([0, after - first]), *(own[first:after] for own in sums))
 
 
 def evidence_of(*faces: Painted, scatter_m: float = 0.01) -> Evidence:
@@ -61,6 +61,7 @@ def evidence_of(*faces: Painted, scatter_m: float = 0.01) -> Evidence:
     none = [np.zeros((0, ROWS, layers), np.float32) for layers in (6, 5)]
     ended = np.concatenate([none[0], *(face.ended for face in faces)])
     depth_sum = np.concatenate([none[1], *(face.depth_sum for face in faces)])
-    count = np.maximum(ended[..., :BEYOND], 1.0)
-    squares = depth_sum**2 / count + ended[..., :BEYOND] * np.float32(scatter_m**2)
-    return Evidence(first, ended, depth_sum, squares)
+    near = slice(0, NEAR + 1)
+    count, total = ended[..., near].sum(axis=-1), depth_sum[..., near].sum(axis=-1)
+    squares = total**2 / np.maximum(count, 1.0) + count * np.float32(scatter_m**2)
+    return Evidence(first, ended, depth_sum, squares, np.zeros((*count.shape, 3), np.float32))

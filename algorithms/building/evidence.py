@@ -7,6 +7,7 @@ passed them. Here a cell says in addition in which layer of depth the rays that 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -25,6 +26,8 @@ and beyond all of these."""
 LAYERS_M = (0.10, 0.04, -0.03, -0.12, -0.35, -1.0)
 """Where the layers begin (m before the face): those of the face as its range noise and the scatter
 of poses are, of a leaf in a frame's rebate, in a wall's reveal, and in the room behind."""
+NEAR = RECESS
+"""Up to this layer rays ended on the wall, and on what is flat before or in it."""
 FOOT_ROW = 2
 """The lowest row above sills, skirting boards and the floor's own returns."""
 _LEVEL_BEHIND_M = 0.06
@@ -38,14 +41,18 @@ class Evidence:
     first: (W + 1,) the column at which each face begins.
     ended: (columns, rows, 6) float32: rays that crossed the cell, by the layer they ended in. Rays
     that ended before the face count where they ended.
-    depth_sum, depth_squares: (columns, rows, 5) float32: sums over the rays of each layer but the
-    last, of their distance before the face (m, negative behind), and of its square.
+    depth_sum: (columns, rows, 5) float32: sum over the rays of each layer but the last of their
+    distance before the face (m, negative behind).
+    depth_squares: (columns, rows) float32: sum of its squares, of the layers of `NEAR`.
+    light: (columns, rows, 3) float32, of the same rays: the number of those with an intensity, and
+    the sums of their intensities and of the cosines of their angles of incidence.
     """
 
     first: IntArray
     ended: FloatArray
     depth_sum: FloatArray
     depth_squares: FloatArray
+    light: FloatArray
 
     def __len__(self) -> int:
         return len(self.first) - 1
@@ -62,20 +69,28 @@ class Evidence:
     def of(self, w: int) -> "Evidence":
         """Of one face alone."""
         own = self.columns(w)
-        return Evidence(
-            self.first[w : w + 2] - self.first[w],
-            self.ended[own],
-            self.depth_sum[own],
-            self.depth_squares[own],
-        )
+        sums = (getattr(self, name)[own] for name in _Sums._fields)
+        return Evidence(self.first[w : w + 2] - self.first[w], *sums)
 
     def minus(self, less: "Evidence") -> "Evidence":
         """Without what some of these rays found of the same faces."""
-        return replace(
-            self,
-            ended=self.ended - less.ended,
-            depth_sum=self.depth_sum - less.depth_sum,
-            depth_squares=self.depth_squares - less.depth_squares,
+        return Evidence(
+            self.first, *(getattr(self, name) - getattr(less, name) for name in _Sums._fields)
+        )
+
+
+class _Sums(NamedTuple):
+    """Those of `Evidence`, for compiled code."""
+
+    ended: FloatArray
+    depth_sum: FloatArray
+    depth_squares: FloatArray
+    light: FloatArray
+
+    @classmethod
+    def none(cls, columns: int, rows: int) -> "_Sums":
+        return cls(
+            *(np.zeros((columns, rows, *last), np.float32) for last in ((6,), (5,), (), (3,)))
         )
 
 
@@ -95,14 +110,11 @@ def trace(
     ended behind the face, but not beyond, where it ended: on a reveal it would seem to be within.
     """
     first = first_columns(walls)
-    shape = int(first[-1]), rows_of(walls)
-    ended = np.zeros((*shape, 6), np.float32)
-    depth_sum, squares = np.zeros((*shape, 5), np.float32), np.zeros((*shape, 5), np.float32)
-    layers = np.array(LAYERS_M)
+    sums = _Sums.none(int(first[-1]), rows_of(walls))
+    layers, faces = np.array(LAYERS_M), (walls.ends, walls.normal, first)
     for block in blocks:
-        faces, sums = (walls.ends, walls.normal, first), (ended, depth_sum, squares)
-        _trace(*faces, *sums, Rays.of(block), range_m, own, at_ends, layers)
-    return Evidence(first, ended, depth_sum, squares)
+        _trace(*faces, sums, Rays.of(block), range_m, own, at_ends, layers)
+    return Evidence(first, *sums)
 
 
 def first_columns(walls: Walls) -> IntArray:
@@ -164,16 +176,14 @@ def _trace(
     ends: FloatArray,
     normal: FloatArray,
     first: IntArray,
-    ended: FloatArray,
-    depth_sum: FloatArray,
-    squares: FloatArray,
+    sums: _Sums,
     rays: Rays,
     range_m: float,
     own: OwnPlane,
     at_ends: bool,
     layers_m: FloatArray,
 ) -> None:  # pragma: no cover
-    faces, rows = len(ends), ended.shape[1]
+    faces, rows = len(ends), sums.ended.shape[1]
     origin, starts, ray_end, label = rays.origin, rays.starts, rays.end, rays.label
     along = np.empty((faces, 2))
     for w in range(faces):
@@ -232,10 +242,17 @@ def _trace(
                 if row < 0 or row >= rows:
                     continue
                 column += first[w]
-                ended[column, row, layer] += 1.0
+                sums.ended[column, row, layer] += 1.0
                 if layer < BEYOND:
-                    depth_sum[column, row, layer] += side
-                    squares[column, row, layer] += side * side
+                    sums.depth_sum[column, row, layer] += side
+                if layer <= NEAR:
+                    sums.depth_squares[column, row] += side * side
+                    if len(rays.intensity) and rays.intensity[r] == rays.intensity[r]:
+                        far = np.sqrt((x0 - ox) ** 2 + (y0 - oy) ** 2 + (ray_end[r, 2] - oz) ** 2)
+                        light = sums.light[column, row]
+                        light[0] += 1.0
+                        light[1] += rays.intensity[r]
+                        light[2] += (reach - side) / far
 
 
 def trace_shared(
@@ -267,14 +284,8 @@ def trace_shared(
 def joined(faces: list[Evidence], rows: int) -> Evidence:
     """The evidence of several faces, each at least `rows` high, one after the other."""
     first = np.concatenate([[0], np.cumsum([len(face.ended) for face in faces])]).astype(np.int64)
-
-    def stacked(name: str, layers: int) -> FloatArray:
-        none = np.zeros((0, rows, layers), np.float32)
-        return np.concatenate([none, *(getattr(face, name)[:, :rows] for face in faces)])
-
-    return Evidence(
-        first,
-        stacked("ended", 6),
-        stacked("depth_sum", 5),
-        stacked("depth_squares", 5),
+    sums = (
+        np.concatenate([none, *(getattr(face, name)[:, :rows] for face in faces)])
+        for name, none in _Sums.none(0, rows)._asdict().items()
     )
+    return Evidence(first, *sums)

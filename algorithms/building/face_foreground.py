@@ -14,7 +14,7 @@ from ffmap.algorithms.base.known import row_medians
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.evidence import FAR, FOOT_ROW, Evidence, first_columns
+from ffmap.algorithms.building.evidence import FOOT_ROW, NEAR, Evidence, first_columns
 from ffmap.algorithms.building.model import CELL_M, ON_FACE_M, Doors, Walls, cells_in
 from ffmap.algorithms.building.storey import Storey, TracedFaces, above_doors_m, column_places
 from ffmap.algorithms.scan.doors import DoorState
@@ -109,9 +109,10 @@ def find_foreground(faces: TracedFaces, doors: Doors, settings: ForegroundSettin
 
 def _returns(evidence: Evidence, w: int) -> FloatArray:
     """(c, rows, 3) returns near one face: their number, and sums of distances and of squares."""
-    own, near = evidence.columns(w), slice(0, FAR)
-    parts = evidence.ended, evidence.depth_sum, evidence.depth_squares
-    return np.stack([part[own][..., near].sum(axis=-1, dtype=np.float64) for part in parts], axis=-1)
+    own, near = evidence.columns(w), slice(0, NEAR + 1)
+    layers = evidence.ended[own][..., near], evidence.depth_sum[own][..., near]
+    sums = [part.sum(axis=-1, dtype=np.float64) for part in layers]
+    return np.stack([*sums, evidence.depth_squares[own]], axis=-1)
 
 
 def _heights_m(rows: int) -> FloatArray:

@@ -13,8 +13,8 @@ from ffmap.algorithms.scan.summary import Features
 class Rays(NamedTuple):
     """The scans of a block for compiled code, as `Features` holds them, in the map frame.
 
-    floors: (s, 10) for `floor_m`: the six numbers of the floor's pieces, whether the higher of them is the floor, how far from
-    the sensor they were looked for, and its x and y.
+    floors: (s, 10) for `floor_m`: the six numbers of the floor's pieces, whether the higher of
+    them is the floor, how far from the sensor they were looked for, and its x and y.
     """
 
     origin: FloatArray
@@ -22,6 +22,7 @@ class Rays(NamedTuple):
     starts: IntArray
     end: FloatArray
     label: UInt8Array
+    intensity: FloatArray
     plane_starts: IntArray
     plane_ends: FloatArray
     plane_normal: FloatArray
@@ -37,6 +38,7 @@ class Rays(NamedTuple):
             block.ray_starts,
             np.ascontiguousarray(block.ray_end_map, np.float32),
             block.ray_label,
+            np.ascontiguousarray(block.ray_intensity, np.float32),
             block.plane_starts,
             np.ascontiguousarray(block.plane_ends_map, np.float64),
             np.ascontiguousarray(block.plane_normal, np.float64),
@@ -44,7 +46,10 @@ class Rays(NamedTuple):
 
 
 class OwnPlane(NamedTuple):
-    """What makes a plane of a scan its own view of a face; see `BuildingSettings`. cos_angle: of `angle_deg`."""
+    """What makes a plane of a scan its own view of a face; see `BuildingSettings`.
+
+    cos_angle: of `angle_deg`.
+    """
 
     distance_m: float
     cos_angle: float
@@ -81,9 +86,10 @@ def floor_m(floors: FloatArray, scan: int, x: float, y: float) -> float:  # prag
 def own_plane(
     ends: FloatArray, normal: FloatArray, rays: Rays, scan: int, rules: OwnPlane
 ) -> tuple[float, float, float, float, float]:  # pragma: no cover
-    """Normal x, y and offset of a scan's own plane of a wall face, and the stretch of the face over which it was seen.
+    """Normal x, y and offset of a scan's own plane of a wall face, and its stretch of the face.
 
-    Of several planes the one that shares most with the face; the face itself, and no stretch, where there is none.
+    Of several planes the one that shares most with the face; the face itself, and no stretch,
+    where there is none.
     """
     along = ends[1] - ends[0]
     length = np.sqrt(along[0] ** 2 + along[1] ** 2)

@@ -16,7 +16,7 @@ from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import segment, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.evidence import ON
+from ffmap.algorithms.building.evidence import NEAR, ON
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.parse import DOORS, OF_WALLS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, has_jambs, standing
@@ -94,14 +94,15 @@ def _as_seen(faces: TracedFaces, part: tuple[int, int, int]) -> Walls:
     w, first, after = part
     columns = slice(faces.columns(w).start + first, faces.columns(w).start + after)
     on = faces.evidence.ended[columns, :, ON].sum(axis=0, dtype=np.float64)
-    squares = float(faces.evidence.depth_squares[columns, :, ON].sum())
+    near = float(faces.evidence.ended[columns, :, : NEAR + 1].sum())
+    rms_m = np.sqrt(float(faces.evidence.depth_squares[columns].sum()) / near)
     seen = np.flatnonzero(on >= min(_ROW_RETURNS_MIN, on.max()))
     top_m = min((seen[-1] + 1) * CELL_M, float(faces.top_m[columns].max()))
     return replace(
         faces.cut([part]),
         bottom_m=np.array([seen[0] * CELL_M]),
         top_m=np.array([top_m]),
-        rms_m=np.array([np.sqrt(squares / on.sum())]),
+        rms_m=np.array([rms_m]),
         sample_count=np.array([on.sum()], np.int64),
     )
 

@@ -15,6 +15,7 @@ from ffmap.algorithms.building.evidence import (
     DEEP,
     FAR,
     LAYERS_M,
+    NEAR,
     ON,
     RECESS,
     Evidence,
@@ -95,7 +96,9 @@ def scattered(seed: int, count: int = 20) -> tuple[Walls, Features]:
         own[:, 1] = own[:, 0] + generator.uniform(0.2, 1, (count // 2, 1)) * (own[:, 1] - own[:, 0])
         label = generator.choice([Label.CLUTTER, Label.FLOOR, Label.CEILING, Label.WALL], RAYS)
         scan = scan_of(np.array(origin), end, label, walls_of(own))
-        scans.append(replace(scan, floor_map=np.broadcast_to(floor * (1, 1, 0.5), (1, 2, 3))))
+        intensity = generator.uniform(0.0, 255.0, RAYS).astype(np.float32)
+        floor_map = np.broadcast_to(floor * (1, 1, 0.5), (1, 2, 3))
+        scans.append(replace(scan, floor_map=floor_map, ray_intensity=intensity))
     return walls, concatenate(scans)
 
 
@@ -140,13 +143,20 @@ def reference(
             met &= (side_m >= 0) | ((place_m >= 0) & (place_m < columns * CELL_M))
         met &= (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         ended = np.zeros((columns, rows, 6))
-        depth_sum, squares = np.zeros((columns, rows, 5)), np.zeros((columns, rows, 5))
+        depth_sum, squares = np.zeros((columns, rows, 5)), np.zeros((columns, rows))
+        light = np.zeros((columns, rows, 3))
         cells = column[met], row[met], layer[met]
         np.add.at(ended, cells, 1.0)
         within = tuple(index[layer[met] < BEYOND] for index in cells)
         np.add.at(depth_sum, within, side_m[met & (layer < BEYOND)])
-        np.add.at(squares, within, side_m[met & (layer < BEYOND)] ** 2)
-        found.append((ended, depth_sum, squares))
+        near = met & (layer <= NEAR)
+        cells = column[near], row[near]
+        np.add.at(squares, cells, side_m[near] ** 2)
+        ray_m = np.linalg.norm(end - origin, axis=1)[near]
+        cosine = (reach_m - side_m)[near] / ray_m
+        intensity = features.ray_intensity[near]
+        np.add.at(light, cells, np.column_stack([np.ones(len(ray_m)), intensity, cosine]))
+        found.append((ended, depth_sum, squares, light))
     return found
 
 
@@ -164,7 +174,7 @@ def test_rays_are_booked_as_the_reference_books_them(
     for w, (ended, *sums) in enumerate(wanted):
         face = found.of(w)
         np.testing.assert_array_equal(face.ended, ended)
-        for own_sum, its in zip((face.depth_sum, face.depth_squares), sums, strict=True):
+        for own_sum, its in zip((face.depth_sum, face.depth_squares, face.light), sums, strict=True):
             np.testing.assert_allclose(own_sum, its, rtol=1e-5, atol=1e-4)
     met = [layer for layer in range(6) if found.ended[..., layer].sum() > 50]
     assert met == list(range(6))
@@ -210,7 +220,8 @@ def test_a_ray_is_booked_where_it_crosses_and_by_how_deep_it_ended(
         assert found.ended.sum() == found.ended[cell] == 1.0
         if layer < BEYOND:
             assert found.depth_sum[cell] == pytest.approx(before_m, abs=1e-5)
-            assert found.depth_squares[cell] == pytest.approx(before_m**2, abs=1e-5)
+            squares = before_m**2 if layer <= NEAR else 0.0
+            assert found.depth_squares[cell[:2]] == pytest.approx(squares, abs=1e-5)
         else:
             assert not found.depth_sum.any()
 

@@ -44,7 +44,8 @@ def evidence_of(counts: FloatArray) -> Evidence:
     own = (np.arange(BEYOND) == layer[..., None]).astype(np.float32)
     ended, *sums = (own * counts[..., [k]] for k in range(3))
     ended = np.concatenate([ended, np.zeros((columns, rows, 1), np.float32)], axis=-1)
-    return Evidence(np.array([0, columns]), ended, *sums)
+    nothing = np.zeros((columns, rows, 3), np.float32)
+    return Evidence(np.array([0, columns]), ended, sums[0], sums[1].sum(axis=-1), nothing)
 
 
 def foreground(
