@@ -69,6 +69,7 @@ from ffmap.algorithms.building.verdicts import (
     StandingWallsSettings,
     along_others,
     join_corners,
+    join_in_line,
     leaning_on_others,
     wall_directions,
 )
@@ -186,7 +187,9 @@ def _judge(
     standing = settings.standing_walls
     # A leaf that leans on its wall would be laid along it.
     leaning, faces = leaning_on_others(aligned.fused), aligned.walls
-    leaves, faces = faces.select(leaning), join_corners(faces.select(~leaning), standing)
+    leaves, faces = faces.select(leaning), faces.select(~leaning)
+    faces = join_in_line(faces, settings.building.own_plane_m, settings.building.gap_m)
+    faces = join_corners(faces, standing)
     doubtful = (faces.scan_count < standing.scans_few) & ~along_others(faces, standing)
     parsed = _parsed(_traced(faces, scans, windows), scans, settings)
     judged = judge(parsed, doubtful, settings.unseen_walls.odds_min, settings.building)

@@ -53,6 +53,8 @@ in it, far behind, and beyond, measured on drives with ground truth. Air does no
 lies behind an opening is the scene's."""
 _RAY_M, _FACE_M = 0.015, 0.006
 """Standard deviation (m) of one return, and of a cell's mean however many returns it has."""
+_UNSEEN = 0.1
+"""Odds (nats) of a cell that no ray crossed for being wall: most of what stands is."""
 _LEAF_LESS = np.array([0.8, 0.3, 0.3])
 """How much less likely (nats) a leaf is than air where nothing is known of an opening."""
 
@@ -197,8 +199,9 @@ def material_odds(
     no_part = odds[..., Material.AIR :].max(axis=-1)
     away = np.maximum(odds[..., Material.AIR], odds[..., Material.LEAF_FAR])
     more = [layer[..., None] for layer in (anything, set_back, no_part, away)]
-    all_odds = np.concatenate([odds, *more], axis=-1)
-    return np.asarray(all_odds * seen[..., None] / settings.cells_together)
+    all_odds = np.concatenate([odds, *more], axis=-1) * seen[..., None]
+    all_odds[..., Material.AIR :] -= _UNSEEN * (asked & ~seen)[..., None]
+    return np.asarray(all_odds / settings.cells_together)
 
 
 def _recess_odds(count: FloatArray, depth_sum: FloatArray, least_m: float) -> FloatArray:

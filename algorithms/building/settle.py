@@ -45,6 +45,9 @@ _PANE_PATCHES_MIN, _PANE_SHARE_MAX = 0.9, 0.5
 _FRONT_MIN_M, _FRONT_SHARE, _PURITY_MIN = 0.5, (0.01, 0.25), 0.7
 """Least width (m) of a pane in no wall, share of the rays that it returns (a rack returns more), and
 least share of what returns near that it returned."""
+_BESIDE, _LOST_MAX = 10, 0.5
+"""Columns beside an opening whose wall returns every ray, and the share of these that glass, behind
+which nothing returns, returns at most."""
 _AJAR_M = 0.1
 """Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
 _JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
@@ -195,16 +198,15 @@ class Sheet:
 
 
 def find_sheet(ended: FloatArray, depth_sum: FloatArray) -> Sheet | None:
-    """The sheet within an opening; None where nothing returned.
+    """The sheet within an opening, or right before it, as a sliding leaf; None where none returned.
 
     ended, depth_sum: (c, rows, …) of its cells without jambs, sill and head, see `Evidence`.
     """
-    layers = ended[..., ON:BEYOND].astype(np.float64)
-    came = ended[..., ON : BEYOND + 1].sum(axis=-1, dtype=np.float64)
+    layers, came = ended[..., :BEYOND].astype(np.float64), ended.sum(axis=-1, dtype=np.float64)
     met = layers > 0
     if not met.any():
         return None
-    depth_m = np.where(met, -depth_sum[..., ON:BEYOND] / np.maximum(layers, 1.0), np.nan)
+    depth_m = np.where(met, -depth_sum / np.maximum(layers, 1.0), np.nan)
     known, weight = depth_m[met], np.minimum(layers[met], 3.0)
     order = np.argsort(known)
     known, total = known[order], np.concatenate([[0.0], np.cumsum(weight[order])])
@@ -215,13 +217,12 @@ def find_sheet(ended: FloatArray, depth_sum: FloatArray) -> Sheet | None:
         return None  # a wall behind, of which few returns are as near as depths are booked
     on_sheet = met & (np.abs(depth_m - middle_m) <= _SHEET_M)
     returned = (layers * on_sheet).sum(axis=-1)
-    behind_m = -float(depth_sum[..., ON:BEYOND][on_sheet].sum() / layers[on_sheet].sum())
+    behind_m = -float(depth_sum[on_sheet].sum() / layers[on_sheet].sum())
     rays, shown = _by_patch(came), _by_patch(returned)
     asked = rays >= _PATCH_RAYS_MIN
     patches = float((shown[asked] > 0).mean()) if 2 * asked.sum() >= asked.size else 0.0
-    near = float(layers[..., : FAR - ON].sum())
-    share, purity = (float(returned.sum() / max(of, 1.0)) for of in (came.sum(), near))
-    return Sheet(behind_m, share, patches, purity)
+    share, near = float(returned.sum() / max(came.sum(), 1.0)), layers[..., :FAR].sum()
+    return Sheet(behind_m, share, patches, float(returned.sum() / max(near, 1.0)))
 
 
 def _by_patch(cells: FloatArray) -> FloatArray:
@@ -237,7 +238,8 @@ class Openings:
     """Stretches of faces that rays pass or that end behind the face, with what closes them.
 
     wall: (n,) the face of each. faces: each as a face of its own, evidence: where rays ended there.
-    met: for each, (c,) the rays that crossed its columns.
+    met: for each, (c,) the rays that crossed its columns. returned: (n,) how many rays returned from
+    what closes it, or its upper part, for each that the wall beside returned.
     """
 
     wall: tuple[int, ...]
@@ -246,6 +248,7 @@ class Openings:
     faces: Walls
     evidence: Evidence
     sheet: tuple[Sheet | None, ...]
+    returned: tuple[float, ...]
 
     def __len__(self) -> int:
         return len(self.wall)
@@ -263,11 +266,20 @@ def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
     evidence = trace_within(faces)
     walls, stretches = tuple(w for w, _ in found), tuple(own for _, own in found)
     sheets = _sheets(stretches, evidence)
-    met = []
+    met, returned = [], []
     for w, own in found:
-        ended = parsed.faces.evidence.ended[parsed.faces.columns(w)][own.columns]
-        met.append(ended[:, own.sill : own.head, ON:].sum(axis=(1, 2)))
-    return Openings(walls, stretches, tuple(met), faces, evidence, tuple(sheets))
+        crossed = parsed.faces.evidence.ended[parsed.faces.columns(w), :, ON:].sum(axis=2)
+        met.append(crossed[own.columns, own.sill : own.head].sum(axis=1))
+        returned.append(_returned(crossed, own))
+    return Openings(walls, stretches, tuple(met), faces, evidence, tuple(sheets), tuple(returned))
+
+
+def _returned(crossed: FloatArray, own: Stretch) -> float:
+    """See `Openings`. crossed: (c, rows) rays that crossed each cell of the face."""
+    rows = slice(own.blind if own.blind < own.head else own.sill, own.head)
+    beside = np.r_[max(own.first - _BESIDE, 0) : own.first, own.after : own.after + _BESIDE]
+    wall = crossed[beside[beside < len(crossed)], rows]
+    return float(crossed[own.columns, rows].mean() / wall.mean()) if wall.any() else 1.0
 
 
 def _sheets(stretches: Sequence[Stretch], evidence: Evidence) -> list[Sheet | None]:
@@ -412,6 +424,7 @@ def blinds_of(openings: Openings) -> Blinds:
         k
         for k, (w, own) in enumerate(windows)
         if own.kind == Kind.WINDOW and own.blind < own.head
+        if openings.returned[k] > _LOST_MAX
         if any(w == other and _is_open_as(s, own) for other, s in windows)
     ]
     behind_m = []

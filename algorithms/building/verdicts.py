@@ -10,7 +10,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import Walls
+from ffmap.algorithms.building.model import NO_WALLS, Walls
 
 ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
@@ -85,6 +85,36 @@ class JudgedFaces:
 _REFUSED_LABELS = np.full(len(FaceVerdict), Label.CLUTTER, np.uint8)
 _REFUSED_LABELS[FaceVerdict.OUTSIDE] = Label.OUTSIDE
 
+
+
+def join_in_line(walls: Walls, apart_m: float, gap_m: float) -> Walls:
+    """Faces of one wall as one: in line, up to `apart_m`, and no farther apart than `gap_m`."""
+    joined = NO_WALLS
+    for w in np.argsort(-lengths_m(walls.ends), kind="stable"):
+        own = walls.one(w)
+        for k, face in enumerate(segments(joined)):
+            off_m = np.abs(face.before_m(own.ends[0])).max()
+            if face.normal @ own.normal[0] < SAME_WAY or off_m > apart_m:
+                continue
+            place_m = face.place_m(own.ends[0])
+            if max(float(place_m.min()) - face.length_m, -float(place_m.max())) > gap_m:
+                continue
+            reach = min(float(place_m.min()), 0.0), max(float(place_m.max()), face.length_m)
+            known = joined.one(k)
+            one = replace(
+                known,
+                ends=face.at(np.array(reach))[None],
+                bottom_m=np.minimum(known.bottom_m, own.bottom_m),
+                top_m=np.maximum(known.top_m, own.top_m),
+                scan_count=np.maximum(known.scan_count, own.scan_count),
+                sample_count=known.sample_count + own.sample_count,
+            )
+            others = np.arange(len(joined)) != k
+            joined = joined.select(others).append(one)
+            break
+        else:
+            joined = joined.append(own)
+    return joined
 
 
 def join_corners(walls: Walls, settings: StandingWallsSettings) -> Walls:
