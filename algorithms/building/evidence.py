@@ -72,6 +72,16 @@ class Evidence:
         sums = (getattr(self, name)[own] for name in _Sums._fields)
         return Evidence(self.first[w : w + 2] - self.first[w], *sums)
 
+    def part(self, stretches: list[tuple[int, int, int]]) -> tuple[IntArray, "Evidence"]:
+        """Stretches of faces as faces of their own, and their columns (c,) here.
+
+        stretches: each a face, its first column and the one after its last.
+        """
+        parts = [self.first[w] + np.arange(first, after) for w, first, after in stretches]
+        columns = np.concatenate([np.zeros(0, np.int64), *parts])
+        first = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
+        return columns, Evidence(first, *(getattr(self, name)[columns] for name in _Sums._fields))
+
     def minus(self, less: "Evidence") -> "Evidence":
         """Without what some of these rays found of the same faces."""
         return Evidence(

@@ -91,12 +91,18 @@ def bare_foreground(low: Walls, storey: Storey) -> Foreground:
     return Foreground(first, np.repeat(low.top_m, np.diff(first)), ground_m, np.zeros((len(ground_m), 1), bool))
 
 
-def find_foreground(faces: TracedFaces, doors: Doors, settings: ForegroundSettings) -> Foreground:
-    """What stands flat against the faces, but for the leaves of closed doors."""
+def find_foreground(
+    faces: TracedFaces, opening: BoolArray, doors: Doors, settings: ForegroundSettings
+) -> Foreground:
+    """What stands flat against the faces, but for the leaves of closed doors.
+
+    opening: (columns, rows) the cells of openings, which are no wall.
+    """
     above_m = above_doors_m(faces.clear_m)
     covered = np.zeros(faces.evidence.ended.shape[:2], bool)
     for w in range(len(faces)):
-        own, returns = faces.columns(w), _returns(faces.evidence, w)
+        own = faces.columns(w)
+        returns = _returns(faces.evidence, w) * ~opening[own][..., None]
         relief_m = _relief_m(returns, faces.clear_m[own], above_m[own], settings)
         covered[own] = _standing_patches(relief_m, faces.clear_m[own], settings)
     places = column_places(faces.walls, faces.evidence.first, 0.0)

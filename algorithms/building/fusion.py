@@ -1,17 +1,19 @@
-"""The building from all scans: which faces stand, its walls, doors and windows.
+"""The building from all scans: which faces are walls, their doors and windows.
 
-Rays tell which faces stand, faces where windows are, and what was seen through those is no face of
-this building: hence faces are parsed twice.
+    planes of scans ── fuse, align ──┐                        ┌─ windows ─┐
+    returns of all scans ── lines ───┴─ trace ── parse ───────┤           ├── judge ── walls, doors
+                                                              └─ parse without what panes show
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.doors import each_once, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
+from ffmap.algorithms.building.evidence import ON
 from ffmap.algorithms.building.face_alignment import (
     AlignedFaces,
     FaceAlignmentSettings,
@@ -27,8 +29,6 @@ from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSet
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings, along_low_walls, find_low_walls
 from ffmap.algorithms.building.model import (
-    NO_WALLS,
-    NO_WINDOWS,
     BuildingSettings,
     Doors,
     Walls,
@@ -36,8 +36,9 @@ from ffmap.algorithms.building.model import (
 )
 from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.settle import (
-    Openings,
+    Opening,
     ParsedFaces,
+    Run,
     blinds_of,
     doors_of,
     find_openings,
@@ -45,6 +46,7 @@ from ffmap.algorithms.building.settle import (
     glazed_doors_of,
     judge,
     mostly_stands,
+    openings_in,
     windows_of,
 )
 from ffmap.algorithms.building.storey import CEILING_NEAR_M, TracedFaces, room_before
@@ -77,9 +79,8 @@ from ffmap.algorithms.building.windows import (
     is_in_wall,
     join_windows,
     panes_of_open_leaves,
-    seen_through,
 )
-from ffmap.algorithms.scan.summary import concatenate, select_planes, without_rays
+from ffmap.algorithms.scan.summary import concatenate, without_rays
 
 
 @dataclass(frozen=True)
@@ -114,21 +115,57 @@ class Building:
     thickness_m: FloatArray
 
 
+@dataclass(frozen=True)
+class _Candidates:
+    """All faces that may be walls.
+
+    faces: those that scans see as planes, the first `planes` of them, and lines that only all scans
+    together show, from both sides. leaves: planes that lean on others.
+    """
+
+    faces: Walls
+    planes: int
+    leaves: Walls
+    aligned: AlignedFaces
+
+    @property
+    def lines(self) -> IntArray:
+        """Numbers of the faces that no scan sees as a plane."""
+        return np.arange(self.planes, len(self.faces))
+
+
+@dataclass(frozen=True)
+class _Parsed:
+    """Parsed faces and their openings."""
+
+    faces: ParsedFaces
+    openings: list[Opening]
+
+
 def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     """Fuse walls from all planes, doors and windows from all rays.
 
+    Each ray is booked once in the cells of all candidates. What it found is parsed; windows among
+    that show which rays came from outside, and faces that such rays met are parsed again.
+
     Raises ValueError where there is no scan.
     """
-    aligned, judged, glass = _find_faces(scans, settings)
-    walls = _add_unseen_walls(judged, glass, scans, settings)
+    candidates = _find_candidates(scans, settings)
+    traced = TracedFaces.of(candidates.faces, scans.trace(candidates.faces), scans.storey)
+    seen = _parse(traced, scans, settings)
+    glass = _find_glass(candidates, seen, scans, settings)
+    clear = _without_outside(seen, glass, scans, settings)
+    judged, walls, runs = _judge(candidates, seen, clear, scans, settings)
+    in_walls = openings_in(seen.openings, runs)
     fronts = glass.select(~is_in_wall(glass, walls))
-    faces = _traced(walls, scans, NO_WINDOWS)
-    parsed = _parsed(faces, scans, settings)
-    seen = find_openings(parsed, scans.trace_within)
-    windows = join_windows(windows_of(seen).append(fronts))
-    doors = _find_doors(walls, seen, windows, scans, settings)
-    foreground = find_foreground(faces, doors, settings.foreground)
-    low = _find_low_walls(walls, windows, scans, settings)
+    windows = join_windows(windows_of(in_walls).append(fronts))
+    found = openings_in(clear.openings, runs)
+    doors = doors_of(found, settings.building)
+    doors = doors.append(glazed_doors_of(in_walls, settings.building))
+    doors = _place_doors(doors, walls, scans, settings)
+    parsed = clear.faces.part(runs)
+    foreground = find_foreground(parsed.faces, parsed.opening, doors, settings.foreground)
+    low = find_low_walls(clear.faces, walls, settings.low_walls)
     is_low = along_low_walls(judged.refused, low, settings.unseen_walls.beside_m)
     verdict, refused = judged.verdict[~is_low], judged.refused.select(~is_low)
     judged = replace(judged, refused=refused, verdict=verdict)
@@ -142,95 +179,140 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
         judged,
         doors,
         windows.select(~is_leaf),
-        blinds_of(seen),
+        blinds_of(in_walls),
         scans.levels,
         leaf_panes=windows.select(is_leaf),
         low_walls=low,
     )
-    return Building(model, parsed, aligned, thickness_m)
+    return Building(model, parsed, candidates.aligned, thickness_m)
 
 
-def _find_faces(
-    scans: AllScans, settings: FusionSettings
-) -> tuple[AlignedFaces, JudgedFaces, Windows]:
-    """The faces of the scans' planes, which of them stand, and the panes that these and lines show.
-
-    Where there are panes, there is a second round without the planes that were seen through them.
-    """
+def _find_candidates(scans: AllScans, settings: FusionSettings) -> _Candidates:
+    """The planes of all scans, fused, and lines of returns that none of these explains."""
     planes = concatenate([without_rays(features) for features in scans.drive.blocks()])
     aligned = _align(fuse_walls(planes, settings.building), scans, settings)
-    judged = _judge(aligned, scans, settings, NO_WINDOWS)
-    windows = windows_of(_openings(judged.walls, scans, settings))
-    lines = _lines(judged.walls, judged.refused, scans, settings)
-    parsed = _parsed(_traced(lines, scans, NO_WINDOWS), scans, settings).gaps_as_panes()
-    fronts = fronts_of(find_openings(parsed, scans.trace_within))
-    # Nobody glazes a wall: a sheet so close before one is the edges of a shelf's boards.
-    middles, depth_m = fronts.ends.mean(axis=1), settings.unseen_walls.shelf_m
-    shelves = near_a_face(middles, fronts.normal, judged.walls, 0.0, depth_m)
-    glass = join_windows(windows.append(fronts.select(~shelves)))
-    outside = seen_through(glass, planes)
-    if outside.any():
-        planes = select_planes(planes, ~outside)
-        aligned = _align(fuse_walls(planes, settings.building), scans, settings)
-        judged = _judge(aligned, scans, settings, glass)
-    return aligned, judged, glass
+    # A leaf that leans on its wall would be laid along it.
+    leaning = leaning_on_others(aligned.fused)
+    leaves, faces = aligned.walls.select(leaning), aligned.walls.select(~leaning)
+    faces = join_in_line(faces, settings.building.own_plane_m, settings.building.gap_m)
+    faces = join_corners(faces, faces, settings.standing_walls)
+    known = faces.append(leaves)
+    straight = _align(_straight_lines(known, scans, settings), scans, settings).walls
+    chords = _align(_chords(known, scans, settings), scans, settings).walls
+    lines = join_corners(straight.append(chords), faces, settings.standing_walls)
+    return _Candidates(faces.append(lines), len(faces), leaves, aligned)
+
+
+def _straight_lines(known: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
+    """Lines of returns along the walls' directions, from both sides."""
+    directions = wall_directions(known, settings.standing_walls.direction_share_min)
+    columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
+    gap_m = settings.building.gap_m
+    return both_sides(straight_lines(columns, directions, gap_m, settings.unseen_walls))
+
+
+def _chords(known: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
+    """Lines of returns of any direction, as high as walls are, from both sides."""
+    columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
+    clear_m = scans.storey.clear_m(columns.place, CEILING_NEAR_M)
+    height_m = columns.top_m - scans.storey.ground_m(columns.place)
+    is_high = height_m > np.fmin(clear_m - 0.35, 2.25)
+    return both_sides(lines_of_any_direction(columns.place[is_high], settings.unseen_walls))
 
 
 def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFaces:
     return align_faces(faces, scans.votes, scans.storey, settings.face_alignment)
 
 
+def _parse(traced: TracedFaces, scans: AllScans, settings: FusionSettings) -> _Parsed:
+    parsed = ParsedFaces.of(traced, scans.path_map, settings.building, settings.parse)
+    openings = find_openings(parsed, scans.trace_within)
+    return _Parsed(parsed.with_panes_told(openings), openings)
+
+
+def _find_glass(
+    candidates: _Candidates, seen: _Parsed, scans: AllScans, settings: FusionSettings
+) -> Windows:
+    """The panes in faces, and those that lines show."""
+    windows = windows_of([own for own in seen.openings if own.wall < candidates.planes])
+    gaps = seen.faces.part([(w, 0, _columns(seen.faces, w)) for w in candidates.lines])
+    fronts = fronts_of(find_openings(gaps.gaps_as_panes(), scans.trace_within))
+    # Nobody glazes a wall: a sheet so close before one is the edges of a shelf's boards.
+    middles, depth_m = fronts.ends.mean(axis=1), settings.unseen_walls.shelf_m
+    walls = candidates.faces.select(slice(candidates.planes))
+    shelves = near_a_face(middles, fronts.normal, walls, 0.0, depth_m)
+    return join_windows(windows.append(fronts.select(~shelves)))
+
+
+def _without_outside(
+    seen: _Parsed, glass: Windows, scans: AllScans, settings: FusionSettings
+) -> _Parsed:
+    """The same by the rays that did not come through panes."""
+    if not len(glass):
+        return seen
+    faces = seen.faces.faces
+    beyond = scans.trace_beyond(faces.walls, glass)
+    met = [w for w in range(len(faces)) if beyond.ended[beyond.columns(w)].any()]
+    rest = replace(faces, evidence=faces.evidence.minus(beyond))
+    again = _parse(
+        rest.part([(w, 0, _columns(seen.faces, w)) for w in met]), scans, settings
+    )
+    stretches = list(seen.faces.stretches)
+    for k, w in enumerate(met):
+        stretches[w] = again.faces.stretches[k]
+    openings = [own for own in seen.openings if own.wall not in met]
+    openings += [replace(own, wall=met[own.wall]) for own in again.openings]
+    return _Parsed(ParsedFaces(rest, tuple(stretches)), openings)
+
+
 def _judge(
-    aligned: AlignedFaces, scans: AllScans, settings: FusionSettings, windows: Windows
-) -> JudgedFaces:
-    """Which faces stand, without what was seen through windows."""
+    candidates: _Candidates,
+    seen: _Parsed,
+    clear: _Parsed,
+    scans: AllScans,
+    settings: FusionSettings,
+) -> tuple[JudgedFaces, Walls, list[Run]]:
+    """Which faces and lines are walls, and which parts of the candidates they are."""
     standing = settings.standing_walls
-    # A leaf that leans on its wall would be laid along it.
-    leaning, faces = leaning_on_others(aligned.fused), aligned.walls
-    leaves, faces = faces.select(leaning), faces.select(~leaning)
-    faces = join_in_line(faces, settings.building.own_plane_m, settings.building.gap_m)
-    faces = join_corners(faces, standing)
-    doubtful = (faces.scan_count < standing.scans_few) & ~along_others(faces, standing)
-    parsed = _parsed(_traced(faces, scans, windows), scans, settings)
-    judged = judge(parsed, doubtful, settings.unseen_walls.odds_min, settings.building)
-    within = room_before(judged.walls, scans.storey)
+    planes = candidates.faces.select(slice(candidates.planes))
+    outside = np.array([_is_outside(seen, clear, w) for w in range(len(planes))], bool)
+    doubtful = (planes.scan_count < standing.scans_few) & ~along_others(planes, standing)
+    judged, runs = judge(
+        clear.faces, doubtful, settings.unseen_walls.odds_min, settings.building
+    )
+    number = np.array([w for w, *_ in runs], np.int64)
+    within = room_before(judged.walls, scans.storey) & ~outside[number]
     beyond = judged.walls.select(~within)
     judged = replace(judged, walls=judged.walls.select(within))
-    return judged.refuse(leaves, FaceVerdict.LEANS).refuse(beyond, FaceVerdict.OUTSIDE)
-
-
-def _add_unseen_walls(
-    judged: JudgedFaces, windows: Windows, scans: AllScans, settings: FusionSettings
-) -> Walls:
-    """The walls, with those that only all scans together show."""
-    known = judged.walls
-    for lines in (_lines, _chords):
-        candidates = _align(lines(known, judged.refused, scans, settings), scans, settings).walls
-        parsed = _parsed(_traced(candidates, scans, windows), scans, settings)
-        known = known.append(walls_of(parsed, known, settings.building, settings.unseen_walls))
-    found = known.select(slice(len(judged.walls), None))
-    found = found.select(room_before(found, scans.storey))
+    judged = judged.refuse(candidates.leaves, FaceVerdict.LEANS)
+    judged = judged.refuse(beyond, FaceVerdict.OUTSIDE)
+    runs = [run for run, stands in zip(runs, within, strict=True) if stands]
+    unseen, more = walls_of(
+        clear.faces, candidates.lines, judged.walls, settings.building, settings.unseen_walls
+    )
     # What only rays without windows show, and others pass, a pane mirrored.
-    found = found.select(mostly_stands(_parsed(_traced(found, scans, NO_WINDOWS), scans, settings)))
-    return join_corners(judged.walls.append(found), settings.standing_walls)
+    stands = room_before(unseen, scans.storey)
+    stands &= np.array([mostly_stands(seen.faces, run) for run in more], bool)
+    runs += [run for run, own in zip(more, stands, strict=True) if own]
+    return judged, judged.walls.append(unseen.select(stands)), runs
 
 
-def _find_low_walls(
-    walls: Walls, windows: Windows, scans: AllScans, settings: FusionSettings
-) -> Walls:
-    """The sides of walls that end below the ceiling."""
-    lines = _lines(walls, NO_WALLS, scans, settings)
-    parsed = _parsed(_traced(lines, scans, windows), scans, settings)
-    return find_low_walls(parsed, walls, settings.low_walls)
+def _is_outside(seen: _Parsed, clear: _Parsed, w: int) -> bool:
+    """Whether most of what rays found of a face they found through panes."""
+    own = seen.faces.faces.columns(w)
+    left, whole = (p.faces.faces.evidence.ended[own, :, ON].sum() for p in (clear, seen))
+    return bool(left < 0.5 * whole)
 
 
-def _find_doors(
-    walls: Walls, seen: Openings, windows: Windows, scans: AllScans, settings: FusionSettings
+def _columns(parsed: ParsedFaces, w: int) -> int:
+    own = parsed.faces.columns(w)
+    return int(own.stop - own.start)
+
+
+def _place_doors(
+    doors: Doors, walls: Walls, scans: AllScans, settings: FusionSettings
 ) -> Doors:
-    """The doors of the walls, by rays that passed no window; glazed ones by all rays."""
-    clear = _parsed(_traced(walls, scans, windows), scans, settings)
-    doors = doors_of(find_openings(clear, scans.trace_within), settings.building)
-    doors = doors.append(glazed_doors_of(seen, settings.building))
+    """The doors with their edges to a centimetre, each once, and how deep they are."""
     blocks = scans.drive.blocks
     doors = place_frames(doors, walls, blocks(), settings.building, settings.door_frames)
     doors = prove_crossed(each_once(doors, settings.building), scans.path_map)
@@ -240,37 +322,3 @@ def _find_doors(
     parts, unknown_m = part_walls(walls, thickness), settings.building.reveal_m
     depth_m = door_depths(doors, walls, parts, thickness, unknown_m, through_m)
     return replace(doors, reveal_m=depth_m)
-
-
-def _lines(walls: Walls, refused: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
-    """Lines of returns along the walls' directions, from both sides."""
-    directions = wall_directions(walls, settings.standing_walls.direction_share_min)
-    columns = unexplained_columns(scans.votes, walls.append(refused), settings.unseen_walls)
-    lines = straight_lines(columns, directions, settings.building.gap_m, settings.unseen_walls)
-    return both_sides(lines, walls, settings.unseen_walls)
-
-
-def _chords(walls: Walls, refused: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
-    """Lines of returns of any direction, as high as walls are, from both sides."""
-    columns = unexplained_columns(scans.votes, walls.append(refused), settings.unseen_walls)
-    clear_m = scans.storey.clear_m(columns.place, CEILING_NEAR_M)
-    height_m = columns.top_m - scans.storey.ground_m(columns.place)
-    is_high = height_m > np.fmin(clear_m - 0.35, 2.25)
-    lines = lines_of_any_direction(columns.place[is_high], settings.unseen_walls)
-    return both_sides(lines, walls, settings.unseen_walls)
-
-
-def _openings(faces: Walls, scans: AllScans, settings: FusionSettings) -> Openings:
-    """The openings of some faces, by all rays."""
-    parsed = _parsed(_traced(faces, scans, NO_WINDOWS), scans, settings)
-    return find_openings(parsed, scans.trace_within)
-
-
-def _parsed(faces: TracedFaces, scans: AllScans, settings: FusionSettings) -> ParsedFaces:
-    parsed = ParsedFaces.of(faces, scans.path_map, settings.building, settings.parse)
-    return parsed.with_panes_told(scans.trace_within)
-
-
-def _traced(faces: Walls, scans: AllScans, windows: Windows) -> TracedFaces:
-    """The faces with what rays found of them, but for those that ended beyond windows."""
-    return TracedFaces.of(faces, scans.trace(faces, windows), scans.storey)

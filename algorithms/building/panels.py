@@ -200,8 +200,8 @@ def _door_panels(doors: Doors) -> Iterator[Panels]:
 
 
 def pane_depth_m(windows: Windows) -> FloatArray:
-    """Return (N,) the depth of each pane behind its wall's face."""
-    return np.where(np.isfinite(windows.pane_m), windows.pane_m, PANE_DEPTH_M)
+    """Return (N,) the depth of each pane behind its wall's face; one before it closes a wall."""
+    return np.where(windows.pane_m >= 0.0, windows.pane_m, PANE_DEPTH_M)
 
 
 def _panels(

@@ -12,6 +12,7 @@ from ffmap.algorithms.building.evidence import BEYOND, FAR, FOOT_ROW, LAYERS_M, 
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
+    NO_WALLS,
     Blinds,
     BuildingSettings,
     Doors,
@@ -36,7 +37,7 @@ from ffmap.algorithms.scan.doors import DoorState
 _SHEET_M = 0.025
 """Half thickness (m) of a sheet: range noise and what a scan's plane is off over a door's width."""
 _LEAF_SHARE_MIN = 0.8
-"""Least share of the rays into an opening that end on a leaf; a pane lets more pass."""
+"""Least share of the rays into an opening that end on a leaf or a blind; a pane lets more pass."""
 _PATCH = 4
 """Edge (cells) of the patches of an opening of which a pane shows in nearly each."""
 _PATCH_RAYS_MIN = 15
@@ -45,13 +46,14 @@ _PANE_PATCHES_MIN, _PANE_SHARE_MAX = 0.9, 0.5
 _FRONT_MIN_M, _FRONT_SHARE, _PURITY_MIN = 0.5, (0.01, 0.25), 0.7
 """Least width (m) of a pane in no wall, share of the rays that it returns (a rack returns more), and
 least share of what returns near that it returned."""
-_BESIDE, _LOST_MAX = 10, 0.5
-"""Columns beside an opening whose wall returns every ray, and the share of these that glass, behind
-which nothing returns, returns at most."""
 _AJAR_M = 0.1
 """Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
 _JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
 """Least share, and number of columns, of a face that is wall down to the floor: what is open below all along hangs."""
+
+
+Run = tuple[int, int, int]
+"""A part of a face: its number, its first column and the one after its last."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,29 @@ class ParsedFaces:
             found.append(parse_face(*evidence, top[own], driven[own], building, settings))
         return cls(faces, tuple(found))
 
+    @property
+    def opening(self) -> BoolArray:
+        """(columns, rows) which cells lie within an opening."""
+        within = np.zeros(self.faces.evidence.ended.shape[:2], bool)
+        for w, stretches in enumerate(self.stretches):
+            own = within[self.faces.columns(w)]
+            for s in stretches:
+                if s.kind in OPENINGS:
+                    own[s.columns, s.sill : s.head] = True
+        return within
+
+    def part(self, runs: list[Run]) -> "ParsedFaces":
+        """Runs of stretches of some faces as faces of their own."""
+        found = [
+            [
+                replace(s, first=s.first - first, after=s.after - first)
+                for s in self.stretches[w]
+                if first <= s.first < after
+            ]
+            for w, first, after in runs
+        ]
+        return ParsedFaces(self.faces.part(runs), tuple(found))
+
     def gaps_as_panes(self) -> "ParsedFaces":
         """Take gaps for panes up to the ceiling, as which rays pass them: what they return tells."""
         found = []
@@ -93,35 +118,32 @@ class ParsedFaces:
             found.append(own)
         return ParsedFaces(self.faces, tuple(found))
 
-    def with_panes_told(self, trace_within: Callable[[Walls], Evidence]) -> "ParsedFaces":
+    def with_panes_told(self, openings: "Sequence[Opening]") -> "ParsedFaces":
         """Openings down to the floor that no door is as wide as, or as high: panes, or what hangs.
 
-        trace_within: books rays where they ended, see `AllScans`.
+        openings: those of these faces.
         """
         found = [list(stretches) for stretches in self.stretches]
-        panes = [
-            (w, k) for w, own in enumerate(found) for k, s in enumerate(own) if s.kind == Kind.PANE
-        ]
-        faces = self.faces.cut([(w, found[w][k].first, found[w][k].after) for w, k in panes])
-        sheets = _sheets([found[w][k] for w, k in panes], trace_within(faces))
-        for (w, k), sheet in zip(panes, sheets, strict=True):
-            if not _is_glass(sheet):
-                own = found[w][k]
+        for opening in openings:
+            w, own = opening.wall, opening.stretch
+            if own.kind == Kind.PANE and not _is_glass(opening.sheet):
                 top_row = (self.faces.top_m[self.faces.columns(w)][own.columns]).min() / CELL_M
                 hangs = own.head < top_row - 2.0 * CEILING_MARGIN_M / CELL_M
-                found[w][k] = replace(own, kind=Kind.HANGING if hangs else Kind.GAP)
+                told = replace(own, kind=Kind.HANGING if hangs else Kind.GAP)
+                found[w][found[w].index(own)] = told
         return ParsedFaces(self.faces, tuple(found))
 
 
 def judge(
     parsed: ParsedFaces, doubtful: BoolArray, odds_min: float, settings: BuildingSettings
-) -> JudgedFaces:
-    """The stretches of faces that stand, with their openings, and those that end low or hang.
+) -> tuple[JudgedFaces, list[Run]]:
+    """The parts of faces that stand, with their openings, and those that end low or hang.
 
-    doubtful: (W,) which faces have to show themselves as walls, by odds of `odds_min`.
+    doubtful: (W,) which faces have to show themselves as walls, by odds of `odds_min`. Of others
+    than these, the first W, nothing is said.
     """
-    faces, kept, refused = parsed.faces, [], []
-    for w, stretches in enumerate(parsed.stretches):
+    faces, kept, refused = parsed.faces, list[Run](), []
+    for w, stretches in enumerate(parsed.stretches[: len(doubtful)]):
         ended = faces.evidence.ended[faces.columns(w)]
         for first, after in standing(stretches, cells_in(settings.gap_m)):
             if (after - first) * CELL_M < settings.length_min_m:
@@ -139,7 +161,7 @@ def judge(
             elif own.kind == Kind.HANGING:
                 refused.append((w, own.first, own.after, FaceVerdict.HANGS))
     verdicts = np.array([verdict for *_, verdict in refused], np.uint8)
-    return JudgedFaces(faces.cut(kept), faces.cut([r[:3] for r in refused]), verdicts)
+    return JudgedFaces(faces.cut(kept), faces.cut([r[:3] for r in refused]), verdicts), kept
 
 
 def standing(stretches: list[Stretch], gap: int) -> Iterator[tuple[int, int]]:
@@ -161,14 +183,15 @@ def standing(stretches: list[Stretch], gap: int) -> Iterator[tuple[int, int]]:
         yield first, after
 
 
-def mostly_stands(parsed: ParsedFaces) -> BoolArray:
-    """(W,) which faces are wall with openings, or hidden, over most of their length."""
-    found = np.zeros(len(parsed.stretches), bool)
-    for w, stretches in enumerate(parsed.stretches):
-        columns = [(s.after - s.first, s.kind in (*OF_WALLS, Kind.HIDDEN)) for s in stretches]
-        standing_columns = sum(count for count, stands in columns if stands)
-        found[w] = 2 * standing_columns > sum(count for count, _ in columns)
-    return found
+def mostly_stands(parsed: ParsedFaces, run: Run) -> bool:
+    """Whether most of a part of a face is wall with openings, or hidden."""
+    w, first, after = run
+    columns = sum(
+        max(min(s.after, after) - max(s.first, first), 0)
+        for s in parsed.stretches[w]
+        if s.kind in (*OF_WALLS, Kind.HIDDEN)
+    )
+    return 2 * columns > after - first
 
 
 def has_jambs(
@@ -234,27 +257,41 @@ def _by_patch(cells: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Openings:
-    """Stretches of faces that rays pass or that end behind the face, with what closes them.
+class Opening:
+    """A stretch of a face that rays pass or that ends behind the face, with what closes it.
 
-    wall: (n,) the face of each. faces: each as a face of its own, evidence: where rays ended there.
-    met: for each, (c,) the rays that crossed its columns. returned: (n,) how many rays returned from
-    what closes it, or its upper part, for each that the wall beside returned.
+    wall: the number of its face. face: it as a face of its own. evidence: where rays ended in it.
+    met: (c,) the rays that crossed its columns. blind: the row from which a blind closes it; that
+    of its head where none does.
     """
 
-    wall: tuple[int, ...]
-    stretch: tuple[Stretch, ...]
-    met: tuple[FloatArray, ...]
-    faces: Walls
+    wall: int
+    stretch: Stretch
+    face: Walls
     evidence: Evidence
-    sheet: tuple[Sheet | None, ...]
-    returned: tuple[float, ...]
+    met: FloatArray
+    sheet: Sheet | None
+    blind: int
 
-    def __len__(self) -> int:
-        return len(self.wall)
+    @property
+    def is_glass(self) -> bool:
+        """Whether a pane closes it: it returns few rays, from all over."""
+        return _is_glass(self.sheet)
+
+    @property
+    def pane_m(self) -> float:
+        """How far (m) the pane stands behind the face; NaN without one."""
+        return self.sheet.behind_m if self.sheet is not None and self.is_glass else float("nan")
+
+    @property
+    def is_open(self) -> bool:
+        """Whether no blind closes all of it."""
+        return self.blind - self.stretch.sill > 1
 
 
-def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]) -> Openings:
+def find_openings(
+    parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
+) -> list[Opening]:
     """All openings of all faces. trace_within: books rays where they ended, see `AllScans`."""
     found = [
         (w, own)
@@ -264,31 +301,32 @@ def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
     ]
     faces = parsed.faces.cut([(w, own.first, own.after) for w, own in found])
     evidence = trace_within(faces)
-    walls, stretches = tuple(w for w, _ in found), tuple(own for _, own in found)
-    sheets = _sheets(stretches, evidence)
-    met, returned = [], []
-    for w, own in found:
+    openings = []
+    for k, (w, own) in enumerate(found):
         crossed = parsed.faces.evidence.ended[parsed.faces.columns(w), :, ON:].sum(axis=2)
-        met.append(crossed[own.columns, own.sill : own.head].sum(axis=1))
-        returned.append(_returned(crossed, own))
-    return Openings(walls, stretches, tuple(met), faces, evidence, tuple(sheets), tuple(returned))
+        met = crossed[own.columns, own.sill : own.head].sum(axis=1)
+        within, inner = evidence.of(k), _within(own)
+        sheet = find_sheet(within.ended[inner], within.depth_sum[inner])
+        opening = Opening(w, own, faces.one(k), within, met, sheet, _blind(own, within))
+        openings.append(opening)
+    return openings
 
 
-def _returned(crossed: FloatArray, own: Stretch) -> float:
-    """See `Openings`. crossed: (c, rows) rays that crossed each cell of the face."""
-    rows = slice(own.blind if own.blind < own.head else own.sill, own.head)
-    beside = np.r_[max(own.first - _BESIDE, 0) : own.first, own.after : own.after + _BESIDE]
-    wall = crossed[beside[beside < len(crossed)], rows]
-    return float(crossed[own.columns, rows].mean() / wall.mean()) if wall.any() else 1.0
+def _blind(own: Stretch, within: Evidence) -> int:
+    """See `Opening`: frames, and panes before a dark outside, return too, but not all as a sheet."""
+    rows = slice(own.blind + 1, own.head - 1)
+    sheet = find_sheet(within.ended[:, rows], within.depth_sum[:, rows])
+    return own.blind if sheet is not None and sheet.share >= _LEAF_SHARE_MIN else own.head
 
 
-def _sheets(stretches: Sequence[Stretch], evidence: Evidence) -> list[Sheet | None]:
-    """What closes each of some openings, each a face of its own."""
-    sheets = []
-    for k, own in enumerate(stretches):
-        columns, inner = evidence.columns(k), _within(own)
-        sheets.append(find_sheet(evidence.ended[columns][inner], evidence.depth_sum[columns][inner]))
-    return sheets
+def openings_in(openings: Sequence[Opening], runs: Sequence[Run]) -> list[Opening]:
+    """The openings within parts of faces; each part is a face of its own."""
+    return [
+        replace(opening, wall=k)
+        for k, (w, first, after) in enumerate(runs)
+        for opening in openings
+        if opening.wall == w and first <= opening.stretch.first < after
+    ]
 
 
 def _within(own: Stretch) -> tuple[slice, slice]:
@@ -299,48 +337,41 @@ def _within(own: Stretch) -> tuple[slice, slice]:
     return slice(jamb, width - jamb), rows
 
 
-def doors_of(openings: Openings, settings: BuildingSettings) -> Doors:
+def doors_of(openings: Sequence[Opening], settings: BuildingSettings) -> Doors:
     """The doors among openings, the surest first; none that a pane closes."""
-    found = [
-        (own.odds, _door(openings, k, settings))
-        for k, own in enumerate(openings.stretch)
-        if own.kind in DOORS and not _is_glass(openings.sheet[k])
-    ]
-    found.sort(key=lambda seen: -seen[0])
-    return reduce(Doors.append, (door for _, door in found), NO_DOORS)
+    found = [own for own in openings if own.stretch.kind in DOORS and not own.is_glass]
+    found.sort(key=lambda own: -own.stretch.odds)
+    return reduce(Doors.append, (_door(own, settings) for own in found), NO_DOORS)
 
 
-def glazed_doors_of(openings: Openings, settings: BuildingSettings) -> Doors:
+def glazed_doors_of(openings: Sequence[Opening], settings: BuildingSettings) -> Doors:
     """The closed doors whose leaf is a pane: as wide and as high as doors are, down to the floor."""
     found = [
         replace(
-            _door(openings, k, settings),
-            depth_m=np.array([_pane_m(openings.sheet[k])]),
+            _door(own, settings),
+            depth_m=np.array([own.pane_m]),
             state=np.array([DoorState.CLOSED], np.uint8),
             agreement=np.ones(1),
             glazed=np.array([True]),
         )
-        for k, own in enumerate(openings.stretch)
-        if own.kind in DOORS and _is_glass(openings.sheet[k])
+        for own in openings
+        if own.stretch.kind in DOORS and own.is_glass
     ]
     return reduce(Doors.append, found, NO_DOORS)
 
 
-def _door(openings: Openings, k: int, settings: BuildingSettings) -> Doors:
-    own, sheet, inner = openings.stretch[k], openings.sheet[k], _within(openings.stretch[k])
-    columns = openings.evidence.columns(k)
-    ended = openings.evidence.ended[columns]
-    depth_sum = openings.evidence.depth_sum[columns]
-    rays = openings.met[k]
+def _door(opening: Opening, settings: BuildingSettings) -> Doors:
+    own, sheet, inner = opening.stretch, opening.sheet, _within(opening.stretch)
+    ended, rays = opening.evidence.ended, opening.met
     lintel = ended[:, own.head :, ON].sum(axis=1) > 0
     is_leaf = sheet is not None and sheet.share >= _LEAF_SHARE_MIN
-    ajar = _is_ajar(ended[inner], depth_sum[inner])
+    ajar = _is_ajar(ended[inner], opening.evidence.depth_sum[inner])
     behind_m, share = float("nan"), 1.0 - (sheet.share if sheet is not None else 0.0)
     if sheet is not None and is_leaf and not ajar:
         behind_m, share = sheet.behind_m, sheet.share
     return one_door(
-        ends=openings.faces.ends[k],
-        normal=openings.faces.normal[k],
+        ends=opening.face.ends[0],
+        normal=opening.face.normal[0],
         head_m=(own.head - 0.5) * CELL_M,
         depth_m=behind_m,
         state=DoorState.CLOSED if np.isfinite(behind_m) else DoorState.OPEN,
@@ -349,7 +380,7 @@ def _door(openings: Openings, k: int, settings: BuildingSettings) -> Doors:
         lintel=lintel.mean(),
         ajar=ajar,
         ray_count=int(rays.sum()),
-        wall=openings.wall[k],
+        wall=opening.wall,
     )
 
 
@@ -370,79 +401,72 @@ def _is_ajar(ended: FloatArray, depth_sum: FloatArray) -> bool:
     return bool(abs(slope) * len(ended) > _AJAR_M)
 
 
-def windows_of(openings: Openings) -> Windows:
+def windows_of(openings: Sequence[Opening]) -> Windows:
     """The windows among openings, and doorways that panes close."""
-    glass = [
-        (own.kind == Kind.WINDOW or _is_glass(sheet)) and own.blind - own.sill > 1
-        for own, sheet in zip(openings.stretch, openings.sheet, strict=True)
-    ]
-    chosen = np.flatnonzero(glass)
-    stretch = [openings.stretch[k] for k in chosen]
-    pane_m = [_pane_m(openings.sheet[k]) for k in chosen]
+    glass = [own for own in openings if own.stretch.kind == Kind.WINDOW or own.is_glass]
+    return _windows([own for own in glass if own.is_open])
+
+
+def _windows(openings: Sequence[Opening]) -> Windows:
+    faces = reduce(Walls.append, (own.face for own in openings), NO_WALLS)
     return Windows(
-        ends=openings.faces.ends[chosen],
-        normal=openings.faces.normal[chosen],
-        bottom_m=np.array([own.sill * CELL_M for own in stretch]),
-        top_m=np.array([own.blind * CELL_M for own in stretch]),
-        pane_m=np.array(pane_m),
+        ends=faces.ends,
+        normal=faces.normal,
+        bottom_m=np.array([own.stretch.sill * CELL_M for own in openings]),
+        top_m=np.array([own.blind * CELL_M for own in openings]),
+        pane_m=np.array([own.pane_m for own in openings]),
     )
 
 
-def fronts_of(openings: Openings) -> Windows:
+def fronts_of(openings: Sequence[Opening]) -> Windows:
     """The panes among openings of lines that no wall explains, each in its own line."""
-    chosen = [
-        k
-        for k, (own, sheet) in enumerate(zip(openings.stretch, openings.sheet, strict=True))
-        if own.width_m >= _FRONT_MIN_M and _is_glass(sheet)
-        if sheet is not None and sheet.purity >= _PURITY_MIN
-        if _FRONT_SHARE[0] <= sheet.share <= _FRONT_SHARE[1]
-    ]
-    pane_m = np.array([_pane_m(openings.sheet[k]) for k in chosen])
-    ends, normal = openings.faces.ends[chosen], openings.faces.normal[chosen]
-    return Windows(
-        ends=moved(ends, normal, -pane_m),
-        normal=normal,
-        bottom_m=np.array([openings.stretch[k].sill * CELL_M for k in chosen]),
-        top_m=np.array([openings.stretch[k].head * CELL_M for k in chosen]),
-        pane_m=np.zeros(len(chosen)),
+    found = _windows(
+        [
+            own
+            for own in openings
+            if own.stretch.width_m >= _FRONT_MIN_M and own.is_glass and own.sheet is not None
+            if own.sheet.purity >= _PURITY_MIN
+            if _FRONT_SHARE[0] <= own.sheet.share <= _FRONT_SHARE[1]
+        ]
+    )
+    ends = moved(found.ends, found.normal, -found.pane_m)
+    return replace(found, ends=ends, pane_m=np.zeros(len(found)))
+
+
+def _is_beside_open(opening: Opening, openings: Sequence[Opening]) -> bool:
+    """Whether a window in the same face is open, and as high."""
+    return any(
+        other.wall == opening.wall
+        and other.stretch.kind == Kind.WINDOW
+        and other.is_open
+        and abs(other.stretch.head - opening.stretch.head) <= 2
+        and abs(other.stretch.sill - opening.stretch.sill) <= 2
+        for other in openings
     )
 
 
-def _is_open_as(window: Stretch, other: Stretch) -> bool:
-    """Whether a window is open in part, and as high as another."""
-    is_open = window.kind == Kind.WINDOW and window.blind - window.sill > 1
-    return is_open and abs(window.head - other.head) <= 2 and abs(window.sill - other.sill) <= 2
-
-
-def blinds_of(openings: Openings) -> Blinds:
+def blinds_of(openings: Sequence[Opening]) -> Blinds:
     """What hangs in windows and closes them, or their upper part.
 
     A recess that is closed all over is a niche, but for one beside an open window as high as it.
     """
-    windows = list(zip(openings.wall, openings.stretch, strict=True))
-    chosen = [
-        k
-        for k, (w, own) in enumerate(windows)
-        if own.kind == Kind.WINDOW and own.blind < own.head
-        if openings.returned[k] > _LOST_MAX
-        if any(w == other and _is_open_as(s, own) for other, s in windows)
+    found = [
+        own
+        for own in openings
+        if own.stretch.kind == Kind.WINDOW and own.blind < own.stretch.head
+        if _is_beside_open(own, openings)
     ]
     behind_m = []
-    for k in chosen:
-        own, columns = openings.stretch[k], openings.evidence.columns(k)
-        near = slice(RECESS, BEYOND - 1)
-        rays = openings.evidence.ended[columns, own.blind : own.head, near].sum()
-        depth_m = openings.evidence.depth_sum[columns, own.blind : own.head, near].sum()
+    for own in found:
+        rows, near = slice(own.blind, own.stretch.head), slice(RECESS, BEYOND - 1)
+        rays = own.evidence.ended[:, rows, near].sum()
+        depth_m = own.evidence.depth_sum[:, rows, near].sum()
         behind_m.append(-float(depth_m) / max(float(rays), 1.0))
-    stretch = [openings.stretch[k] for k in chosen]
+    faces = reduce(Walls.append, (own.face for own in found), NO_WALLS)
     return Blinds(
-        ends=openings.faces.ends[chosen],
-        normal=openings.faces.normal[chosen],
-        bottom_m=np.array([own.blind * CELL_M for own in stretch]),
-        top_m=np.array([own.head * CELL_M for own in stretch]),
+        ends=faces.ends,
+        normal=faces.normal,
+        bottom_m=np.array([own.blind * CELL_M for own in found]),
+        top_m=np.array([own.stretch.head * CELL_M for own in found]),
         behind_m=np.array(behind_m),
     )
-
-
-def _pane_m(sheet: Sheet | None) -> float:
-    return sheet.behind_m if sheet is not None and _is_glass(sheet) else float("nan")

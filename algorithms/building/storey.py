@@ -149,6 +149,12 @@ class TracedFaces:
             ends[i] = face.at(np.array([first * CELL_M, last_m]))
         return replace(self.walls.select(np.array([s[0] for s in stretches])), ends=ends)
 
+    def part(self, stretches: list[tuple[int, int, int]]) -> "TracedFaces":
+        """The same as `cut`, with what is known of the columns."""
+        columns, evidence = self.evidence.part(stretches)
+        clear_m, ground_m = self.clear_m[columns], self.ground_m[columns]
+        return TracedFaces(self.cut(stretches), evidence, clear_m, ground_m)
+
     def visited(self, path_map: FloatArray, robot_m: float) -> BoolArray:
         """(columns,) where the robot drove: its places (n, 2) are closer than `robot_m`."""
         places = column_places(self.walls, self.evidence.first, 0.0)

@@ -13,13 +13,13 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.plan_index import pairs_near
-from ffmap.algorithms.base.scan import BoolArray, FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.evidence import NEAR, ON
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
-from ffmap.algorithms.building.parse import DOORS, OF_WALLS, Kind
-from ffmap.algorithms.building.settle import ParsedFaces, has_jambs, standing
+from ffmap.algorithms.building.parse import OF_WALLS, OPENINGS, Kind
+from ffmap.algorithms.building.settle import ParsedFaces, Run, has_jambs, standing
 from ffmap.algorithms.building.storey import TracedFaces
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY
 from ffmap.algorithms.building.votes import VoxelVotes
@@ -28,6 +28,8 @@ Line = tuple[FloatArray, FloatArray]
 """Ends (2, 2) and normal (2,)."""
 _ROW_RETURNS_MIN = 2
 """Least returns of a row of cells that show how high a line stands."""
+_OPEN_SHARE_MAX = 2 / 3
+"""Greatest share of a wall's length that is doors and windows."""
 _TRACED_TO_M = 4.0
 """Height up to which rays are counted against lines, of whose tops nothing is known yet."""
 
@@ -70,26 +72,41 @@ class Columns:
 
 
 def walls_of(
-    parsed: ParsedFaces, known: Walls, building: BuildingSettings, settings: UnseenWallsSettings
-) -> Walls:
-    """The stretches of parsed lines that show themselves as walls; `known` faces are no part."""
-    faces, found = parsed.faces, NO_WALLS
-    for w, stretches in enumerate(parsed.stretches):
-        ended = faces.evidence.ended[faces.columns(w)]
+    parsed: ParsedFaces,
+    lines: IntArray,
+    known: Walls,
+    building: BuildingSettings,
+    settings: UnseenWallsSettings,
+) -> tuple[Walls, list[Run]]:
+    """The parts of parsed lines that show themselves as walls.
+
+    lines: which of the faces are such. known: the walls that scans see as planes.
+    """
+    faces, walls, runs = parsed.faces, NO_WALLS, list[Run]()
+    for w in lines:
+        middle, normal = faces.walls.ends[w].mean(axis=0)[None], faces.walls.normal[w][None]
+        around = known.append(walls)
+        faced = near_a_face(middle, -normal, around, 0.0, settings.faced_m)
+        beside = near_a_face(middle, normal, around, -settings.beside_m, settings.beside_m)
+        if faced[0] or beside[0]:
+            continue
+        stretches, ended = parsed.stretches[w], faces.evidence.ended[faces.columns(w)]
         crossed = _crossed_by(known, faces.walls, w, len(ended))
         seen = np.isfinite(faces.clear_m[faces.columns(w)]) & ~crossed
         for first, after in standing(stretches, cells_in(building.gap_m)):
             own = [s for s in stretches if first <= s.first < after and s.kind in OF_WALLS]
             on = sum(float(ended[s.columns, :, ON].sum()) for s in own if s.kind == Kind.WALL)
             shows = sum(s.odds for s in own) >= settings.odds_min and on >= settings.returns_min
-            open_columns = sum(s.after - s.first for s in own if s.kind in DOORS)
-            is_free = seen[first:after].mean() > 0.5 and 2 * open_columns < after - first
+            open_columns = sum(s.after - s.first for s in own if s.kind in OPENINGS)
+            is_free = seen[first:after].mean() > 0.5
+            is_free &= open_columns <= _OPEN_SHARE_MAX * (after - first)
             if shows and is_free and has_jambs(stretches, first, after, ended, building.knee_m):
-                found = found.append(_as_seen(faces, (w, first, after)))
-    return found
+                walls = walls.append(_as_seen(faces, (w, first, after)))
+                runs.append((w, first, after))
+    return walls, runs
 
 
-def _as_seen(faces: TracedFaces, part: tuple[int, int, int]) -> Walls:
+def _as_seen(faces: TracedFaces, part: Run) -> Walls:
     """A stretch of a line as a single face, as high as rays ended on it."""
     w, first, after = part
     columns = slice(faces.columns(w).start + first, faces.columns(w).start + after)
@@ -107,19 +124,12 @@ def _as_seen(faces: TracedFaces, part: tuple[int, int, int]) -> Walls:
     )
 
 
-def both_sides(lines: list[Line], known: Walls, settings: UnseenWallsSettings) -> Walls:
-    """The lines as faces: which side each is seen from is not known yet, so both are tried.
-
-    Left out is what is a known face's own, and where nobody can stand.
-    """
+def both_sides(lines: list[Line]) -> Walls:
+    """The lines as faces: which side each is seen from is not known yet, so both are tried."""
     ends = np.array([e for e, _ in lines]).reshape(-1, 2, 2)
     normal = np.array([n for _, n in lines]).reshape(-1, 2)
     top_m = np.full(len(ends), _TRACED_TO_M)
-    both = unseen_faces(ends, normal, top_m).append(unseen_faces(ends[:, ::-1], -normal, top_m))
-    middles = both.ends.mean(axis=1)
-    faced = near_a_face(middles, -both.normal, known, 0.0, settings.faced_m)
-    beside = near_a_face(middles, both.normal, known, -settings.beside_m, settings.beside_m)
-    return both.select(~faced & ~beside)
+    return unseen_faces(ends, normal, top_m).append(unseen_faces(ends[:, ::-1], -normal, top_m))
 
 
 def unseen_faces(ends: FloatArray, normal: FloatArray, top_m: FloatArray) -> Walls:

@@ -117,14 +117,14 @@ def join_in_line(walls: Walls, apart_m: float, gap_m: float) -> Walls:
     return joined
 
 
-def join_corners(walls: Walls, settings: StandingWallsSettings) -> Walls:
+def join_corners(walls: Walls, others: Walls, settings: StandingWallsSettings) -> Walls:
     """Faces extended to the corners that they make with others, where both end or pass close to it."""
     corner_m = settings.corner_m
     ends = walls.ends.copy()
-    faces = list(segments(walls))
-    for w, face in enumerate(faces):
+    across = list(segments(others))
+    for w, face in enumerate(segments(walls)):
         best = np.array([corner_m, corner_m])
-        for other in faces:
+        for other in across:
             turn = float(face.normal @ other.along)
             if abs(turn) < _CORNER_SINE_MIN:
                 continue

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.fusion import Building
-from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
+from ffmap.algorithms.building.model import BuildingSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps.area_graph import (
     AreaGraph,
@@ -57,7 +57,7 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Ma
     doors, windows, knee_m = building.model.doors, building.model.windows, settings.building.knee_m
     # Rays that passed windows count here: the grid shows farther places as well.
     faces = both_sides(building.model.walls)
-    evidence = scans.trace(faces, NO_WINDOWS)
+    evidence = scans.trace(faces)
     immobile = Immobile(building.model.walls, evidence, scans.votes, doors, windows)
     standing = standing_stretches(immobile, knee_m)
     places = [immobile.walls.ends, doors.ends, scans.path_map]

@@ -8,10 +8,10 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.drive import AllScans, Drive, TraceOnce, new_views
+from ffmap.algorithms.building.drive import AllScans, Drive, new_views
 from ffmap.algorithms.building.evidence import Evidence, trace_shared
 from ffmap.algorithms.building.fusion import Building, fuse_building
-from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
 from ffmap.algorithms.building.rays import OwnPlane
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.maps.all_maps import Maps
@@ -52,7 +52,8 @@ def fuse_all_scans(
     drive = Drive(trajectory.T_map_base[:, :3, 3], features.read)
     rays = _RayCounts(features, run.settings.building, run.options.workers)
     votes, rivals = labelled.votes, labelled.rivals
-    evidence = AllScans(drive, votes, rivals, TraceOnce(rays), rays.within, run.settings.levels)
+    traces = rays.all_rays, rays.within, rays.beyond
+    evidence = AllScans(drive, votes, rivals, *traces, run.settings.levels)
     building = fuse_building(evidence, run.settings.fusion)
     if report.log is not None:
         log_fused_walls(report.log, building.aligned)
@@ -91,38 +92,33 @@ class _FeaturesOfScans:
 
 
 class _RayCounts:
-    """`TracePart` in several threads. Rays that end beyond windows are kept for the next call."""
+    """Books rays in cells of faces, in several threads; see `AllScans`."""
 
     def __init__(
         self, features: _FeaturesOfScans, settings: BuildingSettings, workers: int
     ) -> None:
         self._features, self._workers = features, workers
         self._range_m, self._own = settings.range_m, OwnPlane.of(settings)
-        self._windows, self._beyond = NO_WINDOWS.key, list[Features]()
 
-    def __call__(self, faces: Walls, through: Windows | None) -> Evidence:
-        if through is None:
-            return self._traced(faces, self._features.read)
-        if through.key != self._windows:
-            self._windows, self._beyond = through.key, self._rays_beyond(through)
-        return self._traced(faces, lambda: self._beyond)
+    def all_rays(self, faces: Walls) -> Evidence:
+        return self._traced(faces, self._features.read)
 
     def within(self, openings: Walls) -> Evidence:
-        """Book all rays in openings where they ended."""
         return self._traced(openings, self._features.read, at_ends=True)
 
-    def _traced(
-        self, faces: Walls, blocks: Callable[[], Iterable[Features]], at_ends: bool = False
-    ) -> Evidence:
-        return trace_shared(faces, blocks, self._range_m, self._own, self._workers, at_ends)
-
-    def _rays_beyond(self, windows: Windows) -> list[Features]:
+    def beyond(self, faces: Walls, windows: Windows) -> Evidence:
         def of_block(block: Features) -> list[Features]:
             return [rays_through(windows, part) for part in self._features.read((block,))]
 
         with ThreadPoolExecutor(self._workers) as threads:
             parts = threads.map(of_block, self._features.blocks)
-            return [part for block in parts for part in block]
+            through = [part for block in parts for part in block]
+        return self._traced(faces, lambda: through)
+
+    def _traced(
+        self, faces: Walls, blocks: Callable[[], Iterable[Features]], at_ends: bool = False
+    ) -> Evidence:
+        return trace_shared(faces, blocks, self._range_m, self._own, self._workers, at_ends)
 
 
 def log_maps(maps: Maps, report: Report) -> None:

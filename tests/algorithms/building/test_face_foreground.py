@@ -53,7 +53,8 @@ def foreground(
 ) -> Foreground:
     """Of the one face, with counts (c, rows, 3) of its cells."""
     faces = traced(FACE, evidence_of(counts), ceiling_m)
-    return find_foreground(faces, doors, SETTINGS)
+    no_opening = np.zeros(faces.evidence.ended.shape[:2], bool)
+    return find_foreground(faces, no_opening, doors, SETTINGS)
 
 
 def relief(
