@@ -3,11 +3,9 @@
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
-from ffmap.algorithms.building.drive import TraceOnce
 from ffmap.algorithms.building.evidence import Evidence, trace
-from ffmap.algorithms.building.model import BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.model import BuildingSettings, Walls
 from ffmap.algorithms.building.rays import OwnPlane
-from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.scan.summary import Features
 
 
@@ -37,10 +35,3 @@ def rays_alone(
 def traced_by(faces: Walls, *scans: Features, at_ends: bool = False) -> Evidence:
     settings = BuildingSettings()
     return trace(faces, scans, settings.range_m, OwnPlane.of(settings), at_ends)
-
-
-def tracing(features: Features) -> TraceOnce:
-    def trace_part(faces: Walls, through: Windows | None) -> Evidence:
-        return traced_by(faces, features if through is None else rays_through(through, features))
-
-    return TraceOnce(trace_part)

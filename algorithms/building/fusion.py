@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.doors import each_once, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
@@ -49,7 +49,7 @@ from ffmap.algorithms.building.settle import (
     openings_in,
     windows_of,
 )
-from ffmap.algorithms.building.storey import CEILING_NEAR_M, TracedFaces, room_before
+from ffmap.algorithms.building.storey import CEILING_NEAR_M, Storey, TracedFaces, room_before
 from ffmap.algorithms.building.thickness import (
     WallThicknessSettings,
     door_depths,
@@ -81,6 +81,10 @@ from ffmap.algorithms.building.windows import (
     panes_of_open_leaves,
 )
 from ffmap.algorithms.scan.summary import concatenate, without_rays
+
+
+_BELOW_CEILING_M, _WALL_M = 0.35, 2.25
+"""Walls reach up to this far (m) below the ceiling, or higher than this (m)."""
 
 
 @dataclass(frozen=True)
@@ -119,12 +123,14 @@ class Building:
 class _Candidates:
     """All faces that may be walls.
 
-    faces: those that scans see as planes, the first `planes` of them, and lines that only all scans
-    together show, from both sides. leaves: planes that lean on others.
+    faces: those that scans see as planes, the first `planes` of them, then lines that only all scans
+    together show, from both sides: `straight` along the walls' directions, then of any direction.
+    leaves: planes that lean on others.
     """
 
     faces: Walls
     planes: int
+    straight: int
     leaves: Walls
     aligned: AlignedFaces
 
@@ -200,12 +206,14 @@ def _find_candidates(scans: AllScans, settings: FusionSettings) -> _Candidates:
     straight = _align(_straight_lines(known, scans, settings), scans, settings).walls
     chords = _align(_chords(known, scans, settings), scans, settings).walls
     lines = join_corners(straight.append(chords), faces, settings.standing_walls)
-    return _Candidates(faces.append(lines), len(faces), leaves, aligned)
+    return _Candidates(faces.append(lines), len(faces), len(straight), leaves, aligned)
 
 
 def _straight_lines(known: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
     """Lines of returns along the walls' directions, from both sides."""
-    directions = wall_directions(known, settings.standing_walls.direction_share_min)
+    high = _reaches_up(known.ends.mean(axis=1), known.top_m, scans.storey)
+    share_min = settings.standing_walls.direction_share_min
+    directions = wall_directions(known.select(high), share_min)
     columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
     gap_m = settings.building.gap_m
     return both_sides(straight_lines(columns, directions, gap_m, settings.unseen_walls))
@@ -214,10 +222,15 @@ def _straight_lines(known: Walls, scans: AllScans, settings: FusionSettings) -> 
 def _chords(known: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
     """Lines of returns of any direction, as high as walls are, from both sides."""
     columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
-    clear_m = scans.storey.clear_m(columns.place, CEILING_NEAR_M)
-    height_m = columns.top_m - scans.storey.ground_m(columns.place)
-    is_high = height_m > np.fmin(clear_m - 0.35, 2.25)
-    return both_sides(lines_of_any_direction(columns.place[is_high], settings.unseen_walls))
+    top_m = columns.top_m - scans.storey.ground_m(columns.place)
+    high = _reaches_up(columns.place, top_m, scans.storey)
+    return both_sides(lines_of_any_direction(columns.place[high], settings.unseen_walls))
+
+
+def _reaches_up(places: FloatArray, top_m: FloatArray, storey: Storey) -> BoolArray:
+    """(k,) whether what stands at places (k, 2) reaches as high as walls do."""
+    clear_m = storey.clear_m(places, CEILING_NEAR_M)
+    return np.asarray(top_m > np.fmin(clear_m - _BELOW_CEILING_M, _WALL_M))
 
 
 def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFaces:
@@ -235,7 +248,8 @@ def _find_glass(
 ) -> Windows:
     """The panes in faces, and those that lines show."""
     windows = windows_of([own for own in seen.openings if own.wall < candidates.planes])
-    gaps = seen.faces.part([(w, 0, _columns(seen.faces, w)) for w in candidates.lines])
+    straight = candidates.lines[: candidates.straight]
+    gaps = seen.faces.part([(w, 0, _columns(seen.faces, w)) for w in straight])
     fronts = fronts_of(find_openings(gaps.gaps_as_panes(), scans.trace_within))
     # Nobody glazes a wall: a sheet so close before one is the edges of a shelf's boards.
     middles, depth_m = fronts.ends.mean(axis=1), settings.unseen_walls.shelf_m

@@ -53,8 +53,9 @@ in it, far behind, and beyond, measured on drives with ground truth. Air does no
 lies behind an opening is the scene's."""
 _RAY_M, _FACE_M = 0.015, 0.006
 """Standard deviation (m) of one return, and of a cell's mean however many returns it has."""
+_OF_OPENINGS = list(range(Material.LEAF_RECESSED, Material.SET_BACK + 1))
 _UNSEEN = 0.1
-"""Odds (nats) of a cell that no ray crossed for being wall: most of what stands is."""
+"""Odds (nats) of a cell that no ray crossed for being wall rather than an opening in it: most is."""
 _LEAF_LESS = np.array([0.8, 0.3, 0.3])
 """How much less likely (nats) a leaf is than air where nothing is known of an opening."""
 
@@ -200,7 +201,7 @@ def material_odds(
     away = np.maximum(odds[..., Material.AIR], odds[..., Material.LEAF_FAR])
     more = [layer[..., None] for layer in (anything, set_back, no_part, away)]
     all_odds = np.concatenate([odds, *more], axis=-1) * seen[..., None]
-    all_odds[..., Material.AIR :] -= _UNSEEN * (asked & ~seen)[..., None]
+    all_odds[..., _OF_OPENINGS] -= _UNSEEN * (asked & ~seen)[..., None]
     return np.asarray(all_odds / settings.cells_together)
 
 

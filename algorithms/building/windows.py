@@ -70,22 +70,6 @@ def is_beside(face: Segment, ends: FloatArray, normal: FloatArray) -> bool:
     return bool(looks and off_m < _ONE_WALL_M and face.shared_m(ends) > 0.0)
 
 
-def seen_through(windows: Windows, features: Features) -> BoolArray:
-    """(p,) whether each plane of the scans was seen through a window: it is no wall of this building."""
-    origin = features.origin_map[features.plane_scan, :2]
-    outside = np.zeros(len(origin), bool)
-    start, along = features.plane_ends_map[:, 0], np.diff(features.plane_ends_map, axis=1)[:, 0]
-    for window in segments(windows):
-        before_m = window.before_m(origin)
-        for part in (0.0, 0.5, 1.0):
-            place = start + part * along
-            behind_m = window.before_m(place)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                crossing = origin + (before_m / (before_m - behind_m))[:, None] * (place - origin)
-            outside |= (before_m > 0) & (behind_m < -CELL_M) & window.beside(crossing)
-    return outside
-
-
 def rays_through(windows: Windows, features: Features) -> Features:
     """The same scans with the rays alone that ended beyond a window."""
     return select_rays(features, _rays_through(lines_of(windows), Rays.of(features)))

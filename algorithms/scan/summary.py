@@ -117,12 +117,6 @@ def select_scans(features: Features, chosen: BoolArray) -> Features:
     return Features(**own, **rows)
 
 
-def select_planes(features: Features, chosen: BoolArray) -> Features:
-    """The same scans with some of their planes; chosen: (p,)."""
-    count = np.bincount(features.plane_scan[chosen], minlength=len(features.scan))
-    return replace(features, plane_count=count, **_rows(features, "plane_", chosen))
-
-
 def select_rays(features: Features, chosen: BoolArray) -> Features:
     """The same scans with some of their rays; chosen: (r,)."""
     count = np.bincount(features.ray_scan[chosen], minlength=len(features.scan))

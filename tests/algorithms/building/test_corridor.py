@@ -22,7 +22,7 @@ from ffmap.algorithms.building.model import (
 )
 from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.settle import (
-    Openings,
+    Opening,
     ParsedFaces,
     doors_of,
     find_openings,
@@ -44,7 +44,7 @@ from tests.tracing import traced_by
 SETTINGS, FRAMES = BuildingSettings(), DoorFramesSettings()
 
 
-def openings_of(walls: Walls, features: Features) -> Openings:
+def openings_of(walls: Walls, features: Features) -> list[Opening]:
     """What is open in the faces, below a ceiling over all of the corridor."""
     faces = traced(walls, traced_by(walls, features), HEIGHT_M)
     parsed = ParsedFaces.of(faces, np.zeros((0, 2)), BuildingSettings(), ParseSettings())

@@ -8,7 +8,6 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import segments, turned
-from ffmap.algorithms.building.drive import TraceOnce
 from ffmap.algorithms.building.evidence import (
     BEFORE,
     BEYOND,
@@ -25,7 +24,7 @@ from ffmap.algorithms.building.evidence import (
     trace,
     trace_shared,
 )
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, NO_WINDOWS, Walls, Windows
+from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls
 from ffmap.algorithms.building.rays import OwnPlane, Rays, own_plane
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.scan.summary import (
@@ -391,6 +390,13 @@ def test_faces_and_stretches_of_them_are_taken_out_and_joined() -> None:
     assert (low.rows, len(low)) == (30, 2)
     np.testing.assert_array_equal(low.ended, whole.ended[: low.first[-1], :30])
     assert joined([], 30).ended.shape == (0, 30, 6)
+    counts = np.diff(whole.first)
+    columns, part = whole.part([(4, 1, int(counts[4])), (0, 0, 3), (4, 2, 2), (0, 1, 4)])
+    assert np.diff(part.first).tolist() == [counts[4] - 1, 3, 0, 3]
+    for name in NAMES[1:]:
+        np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[columns])
+    columns, part = whole.part([])
+    assert (len(columns), len(part), len(part.ended)) == (0, 0, 0)
 
 
 def test_what_some_rays_found_is_taken_off() -> None:
@@ -406,36 +412,18 @@ def test_what_some_rays_found_is_taken_off() -> None:
     np.testing.assert_array_equal(whole.minus(first).ended, rest.ended)
 
 
-def test_a_face_that_was_asked_about_is_not_traced_again() -> None:
-    walls, asked = faces(*(((0, -y), (4, -y)) for y in (0, 1, 2))), []
+def test_rays_that_ended_beyond_a_window_are_told_from_the_others() -> None:
+    walls = faces(*(((0, -y), (4, -y)) for y in (0, 1, 2)))
     generator = np.random.default_rng(0)
     x_m, z_m = generator.uniform((0.0, 0.1), (4.0, 2.6), (2_000, 2)).T
-    seen_through = (x_m > 1) & (x_m < 2) & (z_m > 0.9) & (z_m < 2.2)
-    depth_m = np.where(seen_through, generator.choice([-1.0, -1.9], 2_000), 0.0)
+    through = (x_m > 1) & (x_m < 2) & (z_m > 0.9) & (z_m < 2.2)
+    depth_m = np.where(through, generator.choice([-1.0, -1.9], 2_000), 0.0)
     ends = np.array([aimed(*at) for at in zip(x_m, z_m, depth_m, strict=True)])
     features, pane = scan_of(ORIGIN, ends), window((1.0, 0.0), (2.0, 0.0))
-
-    def trace_part(walls: Walls, through: Windows | None) -> Evidence:
-        asked.append(len(walls))
-        rays = features if through is None else rays_through(through, features)
-        return trace(walls, [rays], RANGE_M, OWN)
-
-    once = TraceOnce(trace_part)
-    low = replace(walls, top_m=np.full(len(walls), 1.0))
-    high = replace(walls, top_m=np.full(len(walls), 4.0))
-    some = low.select(slice(0, 2)), low, low.select(slice(1, 3)), high.select(slice(0, 1)), low
-    for chosen in some:
-        found = once(chosen, NO_WINDOWS)
-        assert found.rows == rows_of(chosen)
-        assert_same(found, trace(chosen, [features], RANGE_M, OWN))
-    # The first two, the third, none, one again for it is higher now, none.
-    assert asked == [2, 1, 1]
-    # Of what ended beyond a window alone, once.
-    inside = trace(walls, [select_rays(features, ~seen_through)], RANGE_M, OWN)
-    assert once(walls, NO_WINDOWS).of(1).ended.any()
+    whole = trace(walls, [features], RANGE_M, OWN)
+    beyond = trace(walls, [rays_through(pane, features)], RANGE_M, OWN)
+    inside = trace(walls, [select_rays(features, ~through)], RANGE_M, OWN)
+    assert whole.of(1).ended.any()
     assert not inside.of(1).ended.any()
-    for _ in range(2):
-        assert_same(once(walls, pane), inside, exact=False)
-    # As high as these are, all but one for the first time.
-    assert asked[3:] == [2, 3]
-    assert len(once(walls.select(slice(0, 0)), NO_WINDOWS).ended) == 0
+    assert_same(whole.minus(beyond), inside, exact=False)
+    assert trace(walls, [], RANGE_M, OWN).ended.any() == np.False_

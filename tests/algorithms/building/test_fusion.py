@@ -23,12 +23,13 @@ from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.unseen_walls import UnseenWallsSettings
 from ffmap.algorithms.building.verdicts import FaceVerdict, StandingWallsSettings
 from ffmap.algorithms.building.votes import VoxelTable
+from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features
 from tests.faces import window
-from tests.tracing import traced_by, tracing
+from tests.tracing import traced_by
 from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms
 from tests.voting import vote
 
@@ -99,8 +100,9 @@ def driven(rooms: TwoRooms, *more: Walls) -> AllScans:
         drive=Drive(way, lambda: [features]),
         votes=vote(features.ray_end_map, features.ray_label, len(Label), 0.05),
         rivals=VoxelTable(GridMapSettings().cell_m, len(Rival)).votes(),
-        trace=tracing(features),
+        trace=lambda faces: traced_by(faces, features),
         trace_within=lambda openings: traced_by(openings, features, at_ends=True),
+        trace_beyond=lambda faces, panes: traced_by(faces, rays_through(panes, features)),
         levels_settings=SETTINGS.levels,
     )
 
@@ -153,13 +155,14 @@ def test_what_shows_both_sides_a_walls_thickness_apart_is_a_wall_though_rays_pas
     np.testing.assert_allclose(measured_m, thickness_m if is_wall else 0.0, atol=0.02)
 
 
-def test_what_was_seen_through_a_window_is_neither_wall_nor_refused() -> None:
+def test_what_was_seen_through_a_window_is_no_wall_of_this_building() -> None:
     rooms = TwoRooms(glass=(0.9, 2.1))
     house_opposite = face([[0.0, -rooms.outside_m], [3.0, -rooms.outside_m]], [0.0, 1.0])
     building = built(rooms, house_opposite)
     assert len(building.model.windows) == 1
-    for faces in (building.model.walls, building.model.judged.refused):
-        assert np.all(faces.ends[..., 1] > -0.2)
+    judged = building.model.judged
+    assert np.all(building.model.walls.ends[..., 1] > -0.2)
+    assert not np.any(judged.refused_label[judged.refused.ends[:, 0, 1] < -0.2] == Label.WALL)
 
 
 @pytest.mark.parametrize("closed", [False, True])

@@ -504,10 +504,13 @@ def test_the_mean_depth_tells_what_is_recessed() -> None:
         assert recessed == (behind_m > 0.012), behind_m
 
 
+OF_OPENINGS = slice(Material.LEAF_RECESSED, Material.SET_BACK + 1)
+
+
 def test_what_ends_before_the_face_says_nothing_of_the_wall() -> None:
     face = draw(Patch(((1.0, 0.07, 0.07),), 0, 9), columns=9, noise_m=0.0)
     assert not face.ended[..., ON:].any()
-    assert not face.odds().any()
+    assert not np.delete(face.odds(), OF_OPENINGS, axis=-1).any()
     wall = draw(columns=9)
     np.testing.assert_allclose(wall.add(face).odds(), wall.odds())
 
@@ -515,7 +518,10 @@ def test_what_ends_before_the_face_says_nothing_of_the_wall() -> None:
 def test_cells_that_nobody_saw_say_nothing() -> None:
     odds = draw(Patch(UNSEEN, 20, 40), Patch(AIR, 50, 60)).odds()
     assert odds.shape == (COLUMNS, ROWS, len(Material))
-    assert not odds[20:40].any()
+    unseen = odds[20:40, FOOT_ROW:CEILING]
+    assert not np.delete(unseen, OF_OPENINGS, axis=-1).any()
+    # But they are rather wall than an opening in it.
+    assert np.all((unseen[..., OF_OPENINGS] < 0.0) & (unseen[..., OF_OPENINGS] > -0.05))
     assert not odds[:, :FOOT_ROW].any()
     assert not odds[:, CEILING:].any()
     low = replace(draw(), top=np.arange(COLUMNS))

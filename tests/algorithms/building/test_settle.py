@@ -7,7 +7,7 @@ from ffmap.algorithms.building.evidence import BEYOND, DEEP, FAR, ON, RECESS, jo
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings
 from ffmap.algorithms.building.parse import OPENINGS, ParseSettings
 from ffmap.algorithms.building.settle import (
-    Openings,
+    Opening,
     ParsedFaces,
     Sheet,
     blinds_of,
@@ -36,10 +36,12 @@ def parsed(face: Painted) -> ParsedFaces:
 
 
 def judged(face: Painted, is_doubtful: bool = False) -> JudgedFaces:
-    return judge(parsed(face), np.array([is_doubtful]), 10.0, SETTINGS)
+    found, runs = judge(parsed(face), np.array([is_doubtful]), 10.0, SETTINGS)
+    assert len(runs) == len(found.walls)
+    return found
 
 
-def opened(face: Painted) -> Openings:
+def opened(face: Painted) -> list[Opening]:
     """The openings of one face, into which all rays tell the same as at its cells."""
     found = parsed(face)
     evidence, stretches = found.faces.evidence, found.stretches[0]

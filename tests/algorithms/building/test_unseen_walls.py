@@ -108,7 +108,7 @@ def found(
 
     columns = unexplained_columns(votes, known.append(refused), SETTINGS)
     lines = straight_lines(columns, wall_directions(known, 0.04), SIZES.gap_m, SETTINGS)
-    candidates = both_sides(lines, known, SETTINGS)
+    candidates = both_sides(lines)
     painted = []
     for face, normal in zip(segments(candidates), candidates.normal, strict=True):
         own = Painted(int(np.ceil(face.length_m / 0.05)))
@@ -119,7 +119,9 @@ def found(
         painted.append(own)
     traced = TracedFaces.of(candidates, evidence_of(*painted), storey)
     parsed = ParsedFaces.of(traced, np.zeros((0, 2)), SIZES, ParseSettings())
-    return walls_of(parsed, known, SIZES, SETTINGS)
+    walls, runs = walls_of(parsed, np.arange(len(candidates)), known, SIZES, SETTINGS)
+    assert len(walls) == len(runs)
+    return walls
 
 
 def test_a_wall_that_no_scan_alone_told_is_found_on_the_side_that_it_is_seen_from() -> None:
