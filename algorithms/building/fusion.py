@@ -82,7 +82,6 @@ from ffmap.algorithms.building.windows import (
 )
 from ffmap.algorithms.scan.summary import concatenate, without_rays
 
-
 _BELOW_CEILING_M, _WALL_M = 0.35, 2.25
 """Walls reach up to this far (m) below the ceiling, or higher than this (m)."""
 
@@ -255,7 +254,8 @@ def _find_glass(
     middles, depth_m = fronts.ends.mean(axis=1), settings.unseen_walls.shelf_m
     walls = candidates.faces.select(slice(candidates.planes))
     shelves = near_a_face(middles, fronts.normal, walls, 0.0, depth_m)
-    return join_windows(windows.append(fronts.select(~shelves)))
+    aligned = along_others(fronts, walls, settings.standing_walls)
+    return join_windows(windows.append(fronts.select(aligned & ~shelves)))
 
 
 def _without_outside(
@@ -290,7 +290,7 @@ def _judge(
     standing = settings.standing_walls
     planes = candidates.faces.select(slice(candidates.planes))
     outside = np.array([_is_outside(seen, clear, w) for w in range(len(planes))], bool)
-    doubtful = (planes.scan_count < standing.scans_few) & ~along_others(planes, standing)
+    doubtful = (planes.scan_count < standing.scans_few) & ~along_others(planes, planes, standing)
     judged, runs = judge(
         clear.faces, doubtful, settings.unseen_walls.odds_min, settings.building
     )

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
-from ffmap.algorithms.base.segments import lengths_m, segment, segments
+from ffmap.algorithms.base.segments import Faces, lengths_m, segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls
 
@@ -16,6 +16,9 @@ ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
 SAME_WAY = 0.9
 """Cosine of the angle between two faces above which they look the same way."""
+_ALONG = 0.99
+"""Cosine of the angle between a face and the walls along or across which it runs: 8 degrees, by
+which the ends of half a metre may be off."""
 _CORNER_SINE_MIN = 0.3
 """Minimum sine of the angle between two faces that make a corner."""
 _LEANING_DEG, _LEANING_M, _LEANING_SHARE_MIN, _LEANING_SCANS_RATIO = (4.0, 20.0), 0.1, 0.9, 2.5
@@ -141,12 +144,12 @@ def join_corners(walls: Walls, others: Walls, settings: StandingWallsSettings) -
     return replace(walls, ends=ends)
 
 
-def along_others(walls: Walls, settings: StandingWallsSettings) -> BoolArray:
-    """(W,) whether a face runs along or across a good part of the building's others."""
+def along_others(faces: Faces, walls: Walls, settings: StandingWallsSettings) -> BoolArray:
+    """(n,) whether a face runs along or across a good part of the building's walls."""
     directions = wall_directions(walls, settings.direction_share_min)
     if not len(directions):
-        return np.ones(len(walls), bool)
-    return np.asarray(np.abs(walls.normal @ directions.T).max(axis=1) > np.cos(np.radians(5.0)))
+        return np.ones(len(faces.normal), bool)
+    return np.asarray(np.abs(faces.normal @ directions.T).max(axis=1) > _ALONG)
 
 
 def leaning_on_others(walls: Walls) -> BoolArray:
