@@ -26,6 +26,7 @@ from ffmap.algorithms.building.face_foreground import (
 )
 from ffmap.algorithms.building.face_fusion import fuse_walls
 from ffmap.algorithms.building.final_labels import BuildingModel, RelabellingSettings
+from ffmap.algorithms.building.flush_doors import find_flush_doors
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings, along_low_walls, find_low_walls
 from ffmap.algorithms.building.model import (
@@ -167,8 +168,9 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     found = openings_in(clear.openings, runs)
     doors = doors_of(found, settings.building)
     doors = doors.append(glazed_doors_of(in_walls, settings.building))
-    doors = _place_doors(doors, walls, scans, settings)
     parsed = clear.faces.part(runs)
+    doors = doors.append(find_flush_doors(parsed, settings.building))
+    doors = _place_doors(doors, walls, scans, settings)
     foreground = find_foreground(parsed.faces, parsed.opening, doors, settings.foreground)
     low = find_low_walls(clear.faces, walls, settings.low_walls)
     is_low = along_low_walls(judged.refused, low, settings.unseen_walls.beside_m)
