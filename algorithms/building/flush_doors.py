@@ -62,11 +62,15 @@ def _shades(evidence: Evidence) -> FloatArray:
     near = evidence.ended[..., ON : NEAR + 1].sum(axis=-1)
     known = (count >= _RETURNS_MIN) & (near > 0.5 * evidence.ended.sum(axis=-1))
     mean = total / np.maximum(count, 1.0)
-    at = (cosines / np.maximum(count, 1.0) * _BINS).astype(np.int64).clip(0, _BINS - 1)
-    usual = np.full(_BINS, np.nan)
-    for k in np.unique(at[known]):
-        usual[k] = np.median(mean[known & (at == k)])
-    return np.where(known & (usual[at] > 0.0), mean / usual[at], np.nan)
+    cosine = cosines / np.maximum(count, 1.0)
+    at = (cosine * _BINS).astype(np.int64).clip(0, _BINS - 1)
+    bins = np.unique(at[known])
+    if not len(bins):
+        return np.full(count.shape, np.nan)
+    usual = [np.median(mean[known & (at == k)]) for k in bins]
+    middles = [np.median(cosine[known & (at == k)]) for k in bins]
+    expected = np.interp(cosine, middles, usual)
+    return np.where(known & (expected > 0.0), mean / np.maximum(expected, 1e-9), np.nan)
 
 
 def _leaves(
@@ -139,6 +143,10 @@ def _leaf(
     head = lowest - 1 + int(gone[0]) if len(gone) else 0
     above = contrast[head + 1 : head + 1 + _ABOVE]
     if not head or not np.isfinite(above).any() or np.nanmax(np.abs(above)) > _ALIKE_MAX:
+        return 0.0, 0
+    # Between two leaves the wall itself differs from both its sides, but not above these.
+    beside = around[head + 1 : head + 1 + _ABOVE] - np.nanmedian(around[FOOT_ROW:lowest])
+    if not np.nanmax(np.abs(beside)) < _SPREAD_MAX * abs(step):
         return 0.0, 0
     across = (column[first + 2 : last - 1] - 0.5 * (left + right)) / step
     alike = [np.abs(part - 1.0) < _SPREAD_MAX for part in (contrast[FOOT_ROW:head], across)]

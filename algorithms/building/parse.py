@@ -56,7 +56,7 @@ _RAY_M, _FACE_M = 0.015, 0.006
 _OF_OPENINGS = list(range(Material.LEAF_RECESSED, Material.SET_BACK + 1))
 _UNSEEN = 0.1
 """Odds (nats) of a cell that no ray crossed for being wall rather than an opening in it: most is."""
-_LEAF_LESS = np.array([0.8, 0.3, 0.3])
+_LEAF_LESS = np.array([0.2, 0.1, 0.1])
 """How much less likely (nats) a leaf is than air where nothing is known of an opening."""
 
 
@@ -142,7 +142,7 @@ class Stretch:
     first, after: its first column and the one after its last. sill, head: rows below and from
     which it is another material: see `Kind`. blind: the row from which, up to the head, something
     closes a window; the head where nothing does. odds: nats against the next best kind, second; of
-    a wall, against what is no wall.
+    a wall, against what is no wall; of an opening down to the floor, against what is none.
     """
 
     kind: Kind
@@ -420,6 +420,12 @@ def _gains(sums: FloatArray) -> FloatArray:  # pragma: no cover
 
 
 @numba.njit(cache=True, nogil=True)
+def _is_down(kind: int) -> bool:  # pragma: no cover
+    """Whether a kind is an opening down to the floor."""
+    return _DOORWAY <= kind < _LOW and kind != _WINDOW
+
+
+@numba.njit(cache=True, nogil=True)
 def _parse(
     sums: FloatArray, top: IntArray, hidden: FloatArray, driven: BoolArray, grammar: _Grammar
 ) -> tuple[IntArray, FloatArray]:  # pragma: no cover
@@ -500,8 +506,10 @@ def _parse(
         most, second = -np.inf, _WALL
         for other in range(kinds):
             # A wall's openings are its own: what it competes with is what is no wall.
-            of_wall = k == _WALL and _DOORWAY <= other < _LOW
-            if other != k and not of_wall and every[other] > most:
+            own = k == _WALL and _DOORWAY <= other < _LOW
+            # What closes an opening down to the floor is told later.
+            own |= _is_down(k) and _is_down(other)
+            if other != k and not own and every[other] > most:
                 most, second = every[other], other
         found[count, :3] = i, j, k
         found[count, 3:6], found[count, 6] = limits_of[j, k], second

@@ -148,8 +148,7 @@ def judge(
         for first, after in standing(stretches, cells_in(settings.gap_m)):
             if (after - first) * CELL_M < settings.length_min_m:
                 continue
-            own_odds = sum(s.odds for s in stretches if first <= s.first < after)
-            if doubtful[w] and own_odds < odds_min:
+            if doubtful[w] and wall_odds(stretches, first, after) < odds_min:
                 refused.append((w, first, after, FaceVerdict.ALONE))
             elif has_jambs(stretches, first, after, ended, settings.knee_m):
                 kept.append((w, first, after))
@@ -181,6 +180,12 @@ def standing(stretches: list[Stretch], gap: int) -> Iterator[tuple[int, int]]:
             first = -1
     if first >= 0:
         yield first, after
+
+
+def wall_odds(stretches: Sequence[Stretch], first: int, after: int) -> float:
+    """Odds (nats) of some columns for being wall, with its windows."""
+    kinds = Kind.WALL, Kind.WINDOW
+    return sum(s.odds for s in stretches if first <= s.first < after and s.kind in kinds)
 
 
 def mostly_stands(parsed: ParsedFaces, run: Run) -> bool:

@@ -19,7 +19,7 @@ from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.evidence import NEAR, ON
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.parse import OF_WALLS, OPENINGS, Kind
-from ffmap.algorithms.building.settle import ParsedFaces, Run, has_jambs, standing
+from ffmap.algorithms.building.settle import ParsedFaces, Run, has_jambs, standing, wall_odds
 from ffmap.algorithms.building.storey import TracedFaces
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY
 from ffmap.algorithms.building.votes import VoxelVotes
@@ -96,7 +96,8 @@ def walls_of(
         for first, after in standing(stretches, cells_in(building.gap_m)):
             own = [s for s in stretches if first <= s.first < after and s.kind in OF_WALLS]
             on = sum(float(ended[s.columns, :, ON].sum()) for s in own if s.kind == Kind.WALL)
-            shows = sum(s.odds for s in own) >= settings.odds_min and on >= settings.returns_min
+            shows = wall_odds(stretches, first, after) >= settings.odds_min
+            shows &= on >= settings.returns_min
             open_columns = sum(s.after - s.first for s in own if s.kind in OPENINGS)
             is_free = seen[first:after].mean() > 0.5
             is_free &= open_columns <= _OPEN_SHARE_MAX * (after - first)
