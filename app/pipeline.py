@@ -13,8 +13,8 @@ import typer
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.base.votes import VoxelVotes, fuse
 from ffmap.algorithms.building.fusion import Building
-from ffmap.algorithms.building.votes import VoxelVotes, fuse
 from ffmap.algorithms.maps.all_maps import Maps, draw_maps
 from ffmap.app.folder.cloud_file import write_ply
 from ffmap.app.folder.names import CLOUD, TRAJECTORY

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
+from ffmap.algorithms.base.votes import VoxelTable, VoxelVotes
 
 
 def vote(points_map: FloatArray, label: UInt8Array, classes: int, voxel_m: float) -> VoxelVotes:

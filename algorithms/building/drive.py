@@ -7,12 +7,12 @@ from functools import cached_property
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.evidence import Evidence
 from ffmap.algorithms.building.heights import HeightMap
 from ffmap.algorithms.building.levels import LevelsSettings, map_levels
 from ffmap.algorithms.building.model import Walls, Windows
 from ffmap.algorithms.building.storey import Storey
-from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.scan.summary import Features
 
 _PLACE_M, _TURN, _VIEWS_MAX = 0.25, 0.25, 20

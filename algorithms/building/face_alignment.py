@@ -16,6 +16,7 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.evidence import first_columns
 from ffmap.algorithms.building.model import CELL_M, Walls
 from ffmap.algorithms.building.storey import (
@@ -24,7 +25,6 @@ from ffmap.algorithms.building.storey import (
     above_doors_m,
     column_places,
 )
-from ffmap.algorithms.building.votes import VoxelVotes
 
 
 class FaceAlignmentSettings(StepSettings):

@@ -24,6 +24,7 @@ from scipy import ndimage
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.heights import (
     WINDOW,
     HeightMap,
@@ -36,7 +37,6 @@ from ffmap.algorithms.building.heights import (
     lowest_around,
     nearest_known,
 )
-from ffmap.algorithms.building.votes import VoxelVotes
 
 _FLAT_M = 0.025
 """Maximum RMS distance of returns from their plane: range noise of lidars, and drift."""

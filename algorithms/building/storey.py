@@ -10,11 +10,11 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment, segments
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.evidence import Evidence
 from ffmap.algorithms.building.heights import HeightMap, Surface, corrected
 from ffmap.algorithms.building.levels import LevelsSettings, of_rooms
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, Walls
-from ffmap.algorithms.building.votes import VoxelVotes
 
 CEILING_MARGIN_M = 0.08
 """Rows this close below a ceiling hold its own returns: their scatter, and the row it lies in."""

@@ -16,13 +16,13 @@ from ffmap.algorithms.base.plan_index import pairs_near
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment, segments
 from ffmap.algorithms.base.settings import StepSettings
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.evidence import NEAR, ON
 from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
 from ffmap.algorithms.building.parse import OF_WALLS, OPENINGS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, Run, has_jambs, standing, wall_odds
 from ffmap.algorithms.building.storey import TracedFaces
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY
-from ffmap.algorithms.building.votes import VoxelVotes
 
 Line = tuple[FloatArray, FloatArray]
 """Ends (2, 2) and normal (2,)."""

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, segments
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.evidence import BEYOND, DEEP, FOOT_ROW, ON, RECESS, Evidence
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
@@ -21,7 +22,6 @@ from ffmap.algorithms.building.model import (
     stretches,
 )
 from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
-from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.free_space import Draft
 from ffmap.algorithms.maps.grid import GridMap, GridMapSettings
 from ffmap.algorithms.scan.doors import DoorState

@@ -9,8 +9,8 @@ from enum import StrEnum
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.model import Windows
-from ffmap.algorithms.building.votes import VoxelVotes
 from ffmap.algorithms.maps.free_space import Draft
 from ffmap.algorithms.maps.furniture_free import draft_cells
 from ffmap.algorithms.maps.grid import GridMap

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from ffmap.algorithms.base.labels import NO_RETURN, Label, Truth, Verdict
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
 from ffmap.algorithms.base.segments import stretches
-from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.labels import UNLABELLED, verdicts
 

@@ -10,7 +10,7 @@ import shapely
 
 from ffmap.algorithms.base.labels import Label, Truth
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
-from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.truth.doors import DoorComparison
 from ffmap.algorithms.truth.tally import majorities
 

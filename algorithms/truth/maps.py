@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ffmap.algorithms.base.labels import Truth
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.building.votes import VoxelVotes, columns_of, pack_column
+from ffmap.algorithms.base.votes import VoxelVotes, columns_of, pack_column
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.doors import squared_distances
 from ffmap.algorithms.truth.tally import VOXEL_M, majorities

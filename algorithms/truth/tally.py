@@ -4,7 +4,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import NO_RETURN, Truth
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
+from ffmap.algorithms.base.votes import VoxelTable, VoxelVotes, majority
 from ffmap.algorithms.truth.doors import TrueDoors, count_near
 from ffmap.algorithms.truth.labels import UNLABELLED
 

@@ -15,7 +15,7 @@ import numpy as np
 from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.segments import main_direction_deg
 from ffmap.algorithms.base.trajectory import Trajectory
-from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.truth.doors import RETURNS_MIN, DoorComparison, FoundDoors, compare_doors
 from ffmap.algorithms.truth.elements import doors_by_design, tally_elements
 from ffmap.algorithms.truth.maps import ComparedMap, compare_map

@@ -22,7 +22,7 @@ from ffmap.loaders.text_files import dotted_keys, read_object
 
 if TYPE_CHECKING:  # `ffmap runs` needs none of the compiled code behind these
     from ffmap.algorithms.base.scan import IntArray
-    from ffmap.algorithms.building.votes import VoxelVotes
+    from ffmap.algorithms.base.votes import VoxelVotes
     from ffmap.algorithms.truth.doors import DoorComparison
     from ffmap.algorithms.truth.maps import ComparedMap
     from ffmap.algorithms.truth.poses import TrajectoryErrors

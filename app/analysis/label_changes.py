@@ -6,7 +6,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Truth
 from ffmap.algorithms.base.scan import FloatArray, IntArray, UInt8Array
-from ffmap.algorithms.building.votes import VoxelTable
+from ffmap.algorithms.base.votes import VoxelTable
 from ffmap.algorithms.truth.changes import (
     CLASSES,
     TRANSITIONS,

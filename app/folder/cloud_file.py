@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
-from ffmap.algorithms.building.votes import FusedCloud
+from ffmap.algorithms.base.votes import FusedCloud
 from ffmap.app.folder.atomic import written_whole
 from ffmap.loaders.errors import InputError
 

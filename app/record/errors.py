@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from ffmap.algorithms.base.labels import Verdict
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m
-from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.truth.doors import DoorComparison, FoundDoors, TrueDoors
 from ffmap.algorithms.truth.labels import verdicts

@@ -18,7 +18,7 @@ from ffmap.algorithms.base.trajectory import (
     PlacedScan,
     level_frame,
 )
-from ffmap.algorithms.building.votes import VoxelTable
+from ffmap.algorithms.base.votes import VoxelTable
 from ffmap.algorithms.maps.rivals import Rival, rival_returns
 from ffmap.algorithms.poses.levelling import LevelledScan, place_and_level
 from ffmap.algorithms.scan.labelling import ScanLabelling, label_scan

@@ -10,9 +10,9 @@ from ffmap.algorithms.base import transforms
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import UInt8Array
 from ffmap.algorithms.base.trajectory import Trajectory
+from ffmap.algorithms.base.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.building.final_labels import BuildingModel, Relabelling
 from ffmap.algorithms.building.fusion import Building
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.floor import heights_above_pieces
 from ffmap.app.folder.labelled_bag import write_labelled_bag

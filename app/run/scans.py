@@ -9,7 +9,7 @@ import numpy as np
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import IntArray
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, majority
+from ffmap.algorithms.base.votes import VoxelTable, VoxelVotes, majority
 from ffmap.algorithms.maps.rivals import Rival
 from ffmap.app.record.building import log_map_block
 from ffmap.app.record.odometry import log_trajectory

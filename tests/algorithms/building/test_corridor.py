@@ -7,6 +7,7 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.trajectory import PlacedScan
+from ffmap.algorithms.base.votes import VoxelTable
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.evidence import RECESS, first_columns
@@ -29,7 +30,6 @@ from ffmap.algorithms.building.settle import (
     windows_of,
 )
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
-from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings
 from ffmap.algorithms.scan.ceiling import below_ceiling

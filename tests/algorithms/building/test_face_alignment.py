@@ -5,6 +5,7 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.face_alignment import (
     AlignedFaces,
     FaceAlignmentSettings,
@@ -13,7 +14,6 @@ from ffmap.algorithms.building.face_alignment import (
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls
 from ffmap.algorithms.building.storey import Storey
-from ffmap.algorithms.building.votes import VoxelVotes
 from tests.voting import vote
 
 TURNS = [0.0, 31.0, 90.0, 203.0]

@@ -8,6 +8,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
+from ffmap.algorithms.base.votes import VoxelTable
 from ffmap.algorithms.building import fusion
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
@@ -22,7 +23,6 @@ from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.unseen_walls import UnseenWallsSettings
 from ffmap.algorithms.building.verdicts import FaceVerdict, StandingWallsSettings
-from ffmap.algorithms.building.votes import VoxelTable
 from ffmap.algorithms.building.windows import rays_through
 from ffmap.algorithms.maps.grid import GridMapSettings
 from ffmap.algorithms.maps.rivals import Rival

@@ -7,10 +7,10 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.heights import PlanGrid, Surface, corrected, find_patches
 from ffmap.algorithms.building.levels import LevelsSettings, map_levels, of_rooms
 from ffmap.algorithms.building.storey import Storey
-from ffmap.algorithms.building.votes import VoxelVotes
 from tests.voting import merge, vote
 
 SETTINGS = LevelsSettings()

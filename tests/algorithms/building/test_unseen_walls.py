@@ -6,6 +6,7 @@ import pytest
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m, segments
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.evidence import BEYOND, ON
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.model import NO_WALLS, BuildingSettings, Walls
@@ -22,7 +23,6 @@ from ffmap.algorithms.building.unseen_walls import (
     walls_of,
 )
 from ffmap.algorithms.building.verdicts import wall_directions
-from ffmap.algorithms.building.votes import VoxelVotes
 from tests.faces import CEILING_M, faces
 from tests.painted import Painted, evidence_of
 from tests.voting import vote

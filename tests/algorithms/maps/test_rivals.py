@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.trajectory import PlacedScan, place_scan
+from ffmap.algorithms.base.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes
 from ffmap.algorithms.maps.free_space import draw_free
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.maps.rivals import _HITS_MIN, Rival, draft_rival, rival_returns

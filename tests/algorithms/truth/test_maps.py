@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Truth
-from ffmap.algorithms.building.votes import VoxelVotes
+from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.truth.maps import ComparedMap, blocked_doors, cells_along, compare_map
 from ffmap.algorithms.truth.tally import VOXEL_M

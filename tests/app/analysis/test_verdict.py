@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ffmap.algorithms.building.votes import VoxelTable
+from ffmap.algorithms.base.votes import VoxelTable
 from ffmap.algorithms.truth.changes import LabelChange, Spot
 from ffmap.app.analysis.comparison import Change, Comparison, RunToCompare
 from ffmap.app.analysis.verdict import best_runs, describe

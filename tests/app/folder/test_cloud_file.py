@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ffmap.algorithms.building.votes import FusedCloud
+from ffmap.algorithms.base.votes import FusedCloud
 from ffmap.app.folder.cloud_file import read_ply, write_ply
 
 

@@ -1,6 +1,7 @@
-"""From labelled points to cubes of space: every cube counts how often it was seen as what (paper, Fig. 8).
+"""Votes of labelled points by voxel: how often each voxel got each label (paper, Fig. 8).
 
-They add up to the same sum in whatever order and portions the scans come, and grow with the building, not with time.
+The sum does not depend on the order and the portions of the scans. It grows with the building, not
+with time.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ AXIS_BITS = 21
 """Bits of a key for each axis: 5 cm cubes reach 52 km to either side."""
 AXIS_OFFSET = 1 << (AXIS_BITS - 1)
 SUBDIVISIONS = 1 << 16
-"""A place within a cube is counted in whole parts of its edge, so that a sum of places does not depend on order."""
+"""A place within a cube is counted in whole parts of its edge: sums do not depend on order."""
 _EMPTY = np.int32(-1)
 
 
@@ -77,7 +78,7 @@ class FusedCloud:
 class VoxelTable:
     """Takes votes scan by scan, or whole `VoxelVotes` of other processes; `votes()` gives the sum.
 
-    voxel_m: the cubes' edge. codes: how many codes there are to vote for; votes for higher ones are not counted.
+    voxel_m: the cubes' edge. codes: number of codes to vote for; votes for higher ones are ignored.
     """
 
     def __init__(self, voxel_m: float, codes: int) -> None:
@@ -101,7 +102,10 @@ class VoxelTable:
             _vote(row, np.ascontiguousarray(code), self._counts)
 
     def absorb(self, votes: VoxelVotes) -> BoolArray:
-        """Add the votes of another table with the same cubes and codes; tells which cubes (m,) were not here before."""
+        """Add the votes of another table with the same cubes and codes.
+
+        Returns which of its cubes (m,) are new here. Raises ValueError for other cubes or codes.
+        """
         if votes.voxel_m != self.voxel_m or votes.counts.shape[1] != self._counts.shape[1]:
             raise ValueError("votes of other cubes or other codes cannot be added")
         size = self._size
@@ -148,14 +152,14 @@ def majority(counts: IntArray) -> UInt8Array:
 
 
 def fuse(votes: VoxelVotes) -> FusedCloud:
-    """One point a cube: the mean of its points and their most frequent label; what lies outside is removed."""
+    """One point a cube: the mean of its points and their most frequent label, without outside."""
     label = votes.label
     kept = votes.seen() & (label != Label.OUTSIDE)
     return FusedCloud(votes.mean_position[kept].astype(np.float32), label[kept])
 
 
 def columns_of(keys: IntArray) -> IntArray:
-    """The keys (m,) of the upright columns that cubes stand in; they increase with the cubes' keys."""
+    """The keys (m,) of the upright columns of cubes; they increase with the cubes' keys."""
     return keys >> AXIS_BITS
 
 
@@ -168,7 +172,8 @@ def pack_column(cells: IntArray) -> IntArray:
 def unpack_cubes(keys: IntArray) -> IntArray:
     """The indexes (m, 3) of cubes with keys (m,)."""
     mask = (1 << AXIS_BITS) - 1
-    return np.asarray(np.stack([keys >> 2 * AXIS_BITS, (keys >> AXIS_BITS) & mask, keys & mask], axis=1) - AXIS_OFFSET)
+    axes = [keys >> 2 * AXIS_BITS, (keys >> AXIS_BITS) & mask, keys & mask]
+    return np.asarray(np.stack(axes, axis=1) - AXIS_OFFSET)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -182,14 +187,15 @@ def cubes_of(points: FloatArray, per_metre: float) -> tuple[IntArray, IntArray]:
             scaled = np.float64(points[i, axis]) * per_metre
             index = np.floor(scaled)
             within[i, axis] = np.uint16(min(int((scaled - index) * SUBDIVISIONS), SUBDIVISIONS - 1))
-            packed = (packed << AXIS_BITS) | ((np.int64(index) + AXIS_OFFSET) & ((1 << AXIS_BITS) - 1))
+            own = (np.int64(index) + AXIS_OFFSET) & ((1 << AXIS_BITS) - 1)
+            packed = (packed << AXIS_BITS) | own
         key[i] = packed
     return key, within
 
 
 @numba.njit(cache=True, nogil=True)
 def _slot_of(key: int, row_of_slot: IntArray, keys: IntArray) -> int:  # pragma: no cover
-    """Where a key's row stands, or the free slot where it belongs (open addressing, Fibonacci hashing)."""
+    """The slot of a key, or the free one where it belongs (open addressing, Fibonacci hashing)."""
     mask = len(row_of_slot) - 1
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     slot = int((mixed >> np.uint64(32)) ^ (mixed >> np.uint64(47))) & mask
@@ -202,7 +208,10 @@ def _slot_of(key: int, row_of_slot: IntArray, keys: IntArray) -> int:  # pragma:
 def _find_rows(
     key: IntArray, row: IntArray, start: int, row_of_slot: IntArray, keys: IntArray, size: int
 ) -> tuple[int, int]:  # pragma: no cover
-    """Fill `row` from `start` on; stops where the table is full. Returns how far it came and the table's size."""
+    """Fill `row` from `start` on until the table is full.
+
+    Returns how far it came, and the table's size.
+    """
     for i in range(start, len(key)):
         if i > start and key[i] == key[i - 1]:
             row[i] = row[i - 1]
@@ -225,7 +234,9 @@ def _rehash(keys: IntArray, size: int, row_of_slot: IntArray) -> None:  # pragma
 
 
 @numba.njit(cache=True, nogil=True)
-def _count(row: IntArray, within: IntArray, position_sum: IntArray, point_count: IntArray) -> None:  # pragma: no cover
+def _count(
+    row: IntArray, within: IntArray, position_sum: IntArray, point_count: IntArray
+) -> None:  # pragma: no cover
     for i in range(len(row)):
         point_count[row[i]] += 1
         for axis in range(3):

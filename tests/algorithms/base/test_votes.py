@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.base.labels import Label
-from ffmap.algorithms.building.votes import VoxelTable, VoxelVotes, fuse, majority
+from ffmap.algorithms.base.votes import VoxelTable, VoxelVotes, fuse, majority
 from tests.voting import merge, vote
 
 EDGE_M = 0.05
