@@ -18,6 +18,7 @@ LINE_TIMELINE = "line"
 TRAJECTORY = "/world/trajectory"
 MAP_POINTS = "/world/map/points"
 GRID = "/world/grid"
+FACES = "/world/building/faces"
 """Below it the grid maps by name."""
 FURNITURE_FREE = "furniture_free"
 """Name of the grid map that the run is about."""
@@ -56,6 +57,15 @@ CLASSES: dict[int, tuple[str, Color]] = {
 }
 """Name and colour of each label."""
 WALL_COLOR, DOOR_COLOR = CLASSES[Label.WALL][1], CLASSES[Label.DOOR][1]
+LAYER_COLORS: tuple[Color, ...] = (
+    (255, 140, 60),
+    WALL_COLOR,
+    DOOR_COLOR,
+    (150, 110, 230),
+    (190, 190, 190),
+    (250, 250, 250),
+)
+"""Rays that ended before a wall face, on it, in a recess, deep in the wall, far behind, beyond."""
 
 
 class LineOutcome(IntEnum):

@@ -126,7 +126,7 @@ def _scan(
 
 
 def _map(centre_m: Centre, extent_m: float, growing: bool = False) -> rrb.Spatial3DView:
-    hidden = "cloud", "ceiling", "fused_walls", "against_walls", "levels/**", "sills"
+    hidden = "cloud", "ceiling", "fused_walls", "against_walls", "levels/**", "sills", "faces/**"
     return space(
         "Map of the odometry; the labelled map follows"
         if growing
@@ -207,16 +207,26 @@ def _building(centre_m: Centre, extent_m: float, first: bool) -> rrb.Container:
     names = {"/world/building/doors": rr.LineStrips3D.from_fields(show_labels=True)}
     cloud = space(
         "Fused cloud, walls and doors (ceiling hidden)",
-        ["/world/building/**", "- /world/building/ceiling", "- /world/building/sills"],
+        [
+            *("/world/building/**", "- /world/building/ceiling", "- /world/building/sills"),
+            f"- {entities.FACES}/**",
+        ],
         aslant(centre_m, extent_m),
         overrides={**names, **overhead},
+    )
+    faces = space(
+        "Cells of walls: solid green, recess blue, open white, hidden orange, unseen black",
+        [f"{entities.FACES}/**", "/world/building/stretches"],
+        aslant(centre_m, extent_m),
     )
     reasons = text("/world/building/reasons", "What was measured of doors, refused faces, windows")
     labels = _label_legend()
     return rrb.Vertical(
         rrb.Horizontal(labels, _glance()) if first else labels,
         rrb.Horizontal(
-            cloud, rrb.Vertical(_grid(centre_m, extent_m), reasons), column_shares=[3, 2]
+            rrb.Tabs(cloud, faces),
+            rrb.Vertical(_grid(centre_m, extent_m), reasons),
+            column_shares=[3, 2],
         ),
         row_shares=[2, 12],
         name="Building",

@@ -9,6 +9,7 @@ import rerun as rr
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m, moved
+from ffmap.algorithms.building.evidence import BEYOND
 from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import covered_places
 from ffmap.algorithms.building.final_labels import BuildingModel
@@ -28,12 +29,23 @@ from ffmap.app.record.shapes import (
     strips,
     ui_radius,
     upright_frames,
+    upright_quads,
 )
 from ffmap.app.record.wall_panels import wall_panels
-from ffmap.blueprints.entities import CLASSES, DOOR_COLOR, GRID, MAP_POINTS, WALL_COLOR, Color
+from ffmap.blueprints.entities import (
+    CLASSES,
+    DOOR_COLOR,
+    FACES,
+    GRID,
+    LAYER_COLORS,
+    MAP_POINTS,
+    WALL_COLOR,
+    Color,
+)
 
 _MAP_RADIUS = ui_radius(1.25)
 _FUSED_COLOR: Color = (190, 190, 190)
+_UNSEEN_COLOR: Color = (40, 40, 40)
 _REFUSED_COLOR: Color = (255, 140, 60)
 _OUTSIDE_COLOR, _CLUTTER_COLOR = CLASSES[Label.OUTSIDE][1], CLASSES[Label.CLUTTER][1]
 
@@ -114,6 +126,30 @@ def log_stretches(log: Log, parsed: ParsedFaces) -> None:
             odds=np.array([own.odds for _, own in rows]),
         ),
     )
+
+
+def log_faces(log: Log, parsed: ParsedFaces) -> None:
+    """Log a picture of each wall face: the layer of depth that most rays into each cell ended in.
+
+    Each is the texture of its face in the 3-D view, and an entity of its own.
+    """
+    for w, face in enumerate(parsed.faces.walls.ends):
+        ended = parsed.faces.evidence.ended[parsed.faces.columns(w)]
+        rows = max(int(np.ceil(parsed.faces.walls.top_m[w] / CELL_M)), 1)
+        cells = ended[:, :rows]
+        layer = np.where(cells.any(axis=-1), cells.argmax(axis=-1), BEYOND + 1)
+        picture = np.array([*LAYER_COLORS, _UNSEEN_COLOR], np.uint8)[layer.T[::-1]]
+        # The last column may reach beyond the face's end.
+        share = lengths_m(face[None])[0] / (len(cells) * CELL_M)
+        top_m = np.array([rows * CELL_M])
+        vertices, triangles = upright_quads(face[None], np.zeros((1, 1)), top_m[:, None])
+        drawn = rr.Mesh3D(
+            vertex_positions=vertices,
+            triangle_indices=triangles,
+            vertex_texcoords=np.array([[0, 1], [share, 1], [share, 0], [0, 0]], np.float32),
+            albedo_texture=picture,
+        )
+        log.static(f"{FACES}/{w:03d}", drawn, evidence(ended=cells.reshape(-1, cells.shape[-1])))
 
 
 def _words(kind: Kind) -> str:

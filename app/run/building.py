@@ -33,7 +33,13 @@ from ffmap.app.folder.pictures import write_floor_plan
 from ffmap.app.folder.plan_dxf import write_dxf
 from ffmap.app.folder.room_files import door_rooms, write_rooms
 from ffmap.app.folder.walls_and_doors import write_doors, write_walls
-from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_stretches
+from ffmap.app.record.building import (
+    log_building,
+    log_faces,
+    log_fused_walls,
+    log_grid,
+    log_stretches,
+)
 from ffmap.app.record.rooms import log_areas, log_rooms
 from ffmap.app.run.arrays import map_arrays, unpack
 from ffmap.app.run.report import Report
@@ -59,6 +65,7 @@ def fuse_all_scans(
         log_fused_walls(report.log, building.aligned)
         log_building(report.log, building.model)
         log_stretches(report.log, building.parsed)
+        log_faces(report.log, building.parsed)
     return building, evidence
 
 

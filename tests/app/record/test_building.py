@@ -7,14 +7,24 @@ from typing import Any
 
 import numpy as np
 
+from ffmap.algorithms.building.evidence import BEYOND, ON
 from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.heights import HeightMap, Surface
-from ffmap.algorithms.building.model import Blinds
+from ffmap.algorithms.building.model import Blinds, BuildingSettings
+from ffmap.algorithms.building.parse import ParseSettings
+from ffmap.algorithms.building.settle import ParsedFaces
 from ffmap.algorithms.building.verdicts import FaceVerdict, JudgedFaces
 from ffmap.algorithms.maps.grid import Cell, GridMap
-from ffmap.app.record.building import log_building, log_fused_walls, log_grid, log_map_block
+from ffmap.app.record.building import (
+    log_building,
+    log_faces,
+    log_fused_walls,
+    log_grid,
+    log_map_block,
+    log_stretches,
+)
 from ffmap.app.record.building_reasons import building_document
 from ffmap.app.record.log import Log
 from ffmap.app.record.odometry import log_trajectory
@@ -24,7 +34,8 @@ from ffmap.blueprints import entities
 from ffmap.blueprints import run as run_blueprint
 from tests import synthetic
 from tests.app.record.recordings import rows, start, static, vectors
-from tests.faces import NO_JUDGED_FACES, doors, faces, window
+from tests.faces import NO_JUDGED_FACES, doors, faces, traced, window
+from tests.painted import evidence_of, wall
 
 WALLS = faces(((0.0, 0.0), (4.0, 0.0)))
 DOOR = doors(
@@ -166,3 +177,26 @@ def test_map_trajectory_and_messages(tmp_path):
     np.testing.assert_allclose(steps[2], [[0.05, 0.0, 0.0], [0.1, 0.0, 0.0]], atol=1e-6)
     assert [len(row["class_ids"]) for row in rows(path, "/world/map/ceiling")] == [2]
     assert "scan 1 skipped: all returns invalid" in str(list(rows(path, "/messages")))
+
+
+def test_each_wall_face_is_a_picture_of_where_rays_ended(tmp_path):
+    face = wall(4.0).paint((1.0, 1.9), (0.0, 2.1), BEYOND)
+    known = traced(faces(((0.0, 0.0), (4.0, 0.0))), evidence_of(face), 2.8)
+    parsed = ParsedFaces.of(known, np.zeros((0, 2)), BuildingSettings(), ParseSettings())
+    with open_part(tmp_path / "faces.rrd", "run-4") as stream:
+        log_faces(Log(stream), parsed)
+        log_stretches(Log(stream), parsed)
+    found = static(tmp_path / "faces.rrd")
+    own = found[f"{entities.FACES}/000"]
+    (buffer,), (layout,) = own["albedo_texture_buffer"][0], own["albedo_texture_format"][0]
+    assert (layout["width"], layout["height"]) == (80, 56)
+    picture = np.array(buffer, np.uint8).reshape(56, 80, 3)
+    # Its first row is the highest.
+    assert tuple(picture[-1, 30]) == entities.LAYER_COLORS[BEYOND]
+    assert tuple(picture[0, 30]) == tuple(picture[-1, 50]) == entities.LAYER_COLORS[ON]
+    corners = vectors(own["vertex_positions"][0])
+    np.testing.assert_allclose(corners.min(axis=0), [0.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(corners.max(axis=0), [4.0, 0.0, 2.8], atol=1e-6)
+    labels = found["/world/building/stretches"]["labels"][0]
+    assert [label.split(",")[0] for label in labels] == ["wall", "doorway", "wall"]
+    assert all("nats against" in label for label in labels)
