@@ -35,7 +35,7 @@ def each_once(seen: Doors, settings: BuildingSettings) -> Doors:
 
 
 def _through_m(door: Doors, doors: Doors) -> FloatArray:
-    """(D,) how far behind each door a single one is seen in the wall's other face; NaN elsewhere."""
+    """(D,) how far behind each door a single one is seen in the wall's other face, or NaN."""
     (own,) = segments(door)
     middle, through_m = door.ends[0].mean(axis=0), np.full(len(doors), np.nan)
     for d, other in enumerate(segments(doors)):
@@ -48,7 +48,7 @@ def _through_m(door: Doors, doors: Doors) -> FloatArray:
 
 
 def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:
-    """The doors without what is too narrow or unsure, and without "closed" ones that are rather wall.
+    """The doors without what is too narrow or unsure, and without closed ones that are rather wall.
 
     A leaf's recess of centimetres shows from nearby only: at least `scans_min` scans have to have
     seen it so, unless it is deeper than noise and the poses' errors displace returns.

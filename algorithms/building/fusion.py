@@ -1,8 +1,8 @@
 """The building from all scans: which faces are walls, their doors and windows.
 
-    planes of scans ── fuse, align ──┐                        ┌─ windows ─┐
-    returns of all scans ── lines ───┴─ trace ── parse ───────┤           ├── judge ── walls, doors
-                                                              └─ parse without what panes show
+planes of all scans ── fuse, align ─┐
+returns of all scans ── lines ──────┴── trace ── parse ── judge ── walls, doors, windows
+                                                   └── again, without rays through panes
 """
 
 from dataclasses import dataclass, replace
@@ -123,7 +123,7 @@ class Building:
 class _Candidates:
     """All faces that may be walls.
 
-    faces: those that scans see as planes, the first `planes` of them, then lines that only all scans
+    faces: first those that scans see as planes, `planes` of them, then lines that only all scans
     together show, from both sides: `straight` along the walls' directions, then of any direction.
     leaves: planes that lean on others.
     """
@@ -270,9 +270,7 @@ def _without_outside(
     beyond = scans.trace_beyond(faces.walls, glass)
     met = [w for w in range(len(faces)) if beyond.ended[beyond.columns(w)].any()]
     rest = replace(faces, evidence=faces.evidence.minus(beyond))
-    again = _parse(
-        rest.part([(w, 0, _columns(seen.faces, w)) for w in met]), scans, settings
-    )
+    again = _parse(rest.part([(w, 0, _columns(seen.faces, w)) for w in met]), scans, settings)
     stretches = list(seen.faces.stretches)
     for k, w in enumerate(met):
         stretches[w] = again.faces.stretches[k]
@@ -293,9 +291,7 @@ def _judge(
     planes = candidates.faces.select(slice(candidates.planes))
     outside = np.array([_is_outside(seen, clear, w) for w in range(len(planes))], bool)
     doubtful = (planes.scan_count < standing.scans_few) & ~along_others(planes, planes, standing)
-    judged, runs = judge(
-        clear.faces, doubtful, settings.unseen_walls.odds_min, settings.building
-    )
+    judged, runs = judge(clear.faces, doubtful, settings.unseen_walls.odds_min, settings.building)
     number = np.array([w for w, *_ in runs], np.int64)
     within = room_before(judged.walls, scans.storey) & ~outside[number]
     beyond = judged.walls.select(~within)
@@ -325,9 +321,7 @@ def _columns(parsed: ParsedFaces, w: int) -> int:
     return int(own.stop - own.start)
 
 
-def _place_doors(
-    doors: Doors, walls: Walls, scans: AllScans, settings: FusionSettings
-) -> Doors:
+def _place_doors(doors: Doors, walls: Walls, scans: AllScans, settings: FusionSettings) -> Doors:
     """The doors with their edges to a centimetre, each once, and how deep they are."""
     blocks = scans.drive.blocks
     doors = place_frames(doors, walls, blocks(), settings.building, settings.door_frames)

@@ -40,7 +40,7 @@ class LowWallsSettings(StepSettings):
         0.15, gt=0, description="Maximum difference (m) in height of a wall's two sides."
     )
     odds_min: float = Field(
-        10.0, ge=0, description="Least odds (nats) of each side for ending low, against all else."
+        3.0, ge=0, description="Least odds (nats) of each side for ending low, against all else."
     )
 
 

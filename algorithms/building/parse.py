@@ -55,7 +55,7 @@ _RAY_M, _FACE_M = 0.015, 0.006
 """Standard deviation (m) of one return, and of a cell's mean however many returns it has."""
 _OF_OPENINGS = list(range(Material.LEAF_RECESSED, Material.SET_BACK + 1))
 _UNSEEN = 0.1
-"""Odds (nats) of a cell that no ray crossed for being wall rather than an opening in it: most is."""
+"""Odds (nats) of an unseen cell for being wall rather than an opening in it: most cells are."""
 _LEAF_LESS = np.array([0.2, 0.1, 0.1])
 """How much less likely (nats) a leaf is than air where nothing is known of an opening."""
 

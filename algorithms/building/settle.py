@@ -44,12 +44,12 @@ _PATCH_RAYS_MIN = 15
 """Least rays into a patch for a pane to show: glass returns every tenth, at a slant fewer."""
 _PANE_PATCHES_MIN, _PANE_SHARE_MAX = 0.9, 0.5
 _FRONT_MIN_M, _FRONT_SHARE, _PURITY_MIN = 0.5, (0.01, 0.25), 0.7
-"""Least width (m) of a pane in no wall, share of the rays that it returns (a rack returns more), and
-least share of what returns near that it returned."""
+"""Of a pane in no wall: least width (m), share of the rays that it returns (a rack returns more),
+and its least share of all that returns near."""
 _AJAR_M = 0.1
 """Least distance (m) of a leaf's free edge from its frame for the door to stand open."""
 _JAMBS_MIN, _JAMB_COLUMNS = 0.1, 3
-"""Least share, and number of columns, of a face that is wall down to the floor: what is open below all along hangs."""
+"""Least share, and number of columns, of a face that is wall down to the floor: else it hangs."""
 
 
 Run = tuple[int, int, int]
@@ -58,7 +58,7 @@ Run = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class ParsedFaces:
-    """Faces with what rays found of them, and the stretches (W lists) that they were parsed into."""
+    """Faces with what rays found of them, and the stretches (W lists) that these were parsed into."""
 
     faces: TracedFaces
     stretches: tuple[list[Stretch], ...]
@@ -105,7 +105,7 @@ class ParsedFaces:
         return ParsedFaces(self.faces.part(runs), tuple(found))
 
     def gaps_as_panes(self) -> "ParsedFaces":
-        """Take gaps for panes up to the ceiling, as which rays pass them: what they return tells."""
+        """Take gaps for panes up to the ceiling: rays pass both, and what returns decides."""
         found = []
         for w, stretches in enumerate(self.stretches):
             top = (self.faces.top_m[self.faces.columns(w)] / CELL_M).astype(np.int64) - 2
@@ -294,9 +294,7 @@ class Opening:
         return self.blind - self.stretch.sill > 1
 
 
-def find_openings(
-    parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
-) -> list[Opening]:
+def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]) -> list[Opening]:
     """All openings of all faces. trace_within: books rays where they ended, see `AllScans`."""
     found = [
         (w, own)
@@ -318,7 +316,7 @@ def find_openings(
 
 
 def _blind(own: Stretch, within: Evidence) -> int:
-    """See `Opening`: frames, and panes before a dark outside, return too, but not all as a sheet."""
+    """See `Opening`: frames and panes before a dark outside return too, but not all as a sheet."""
     rows = slice(own.blind + 1, own.head - 1)
     sheet = find_sheet(within.ended[:, rows], within.depth_sum[:, rows])
     return own.blind if sheet is not None and sheet.share >= _LEAF_SHARE_MIN else own.head
@@ -350,7 +348,7 @@ def doors_of(openings: Sequence[Opening], settings: BuildingSettings) -> Doors:
 
 
 def glazed_doors_of(openings: Sequence[Opening], settings: BuildingSettings) -> Doors:
-    """The closed doors whose leaf is a pane: as wide and as high as doors are, down to the floor."""
+    """The closed doors whose leaf is a pane: as large as doors are, down to the floor."""
     found = [
         replace(
             _door(own, settings),
@@ -390,7 +388,9 @@ def _door(opening: Opening, settings: BuildingSettings) -> Doors:
 
 
 def _is_glass(sheet: Sheet | None) -> bool:
-    return sheet is not None and sheet.patches >= _PANE_PATCHES_MIN and sheet.share < _PANE_SHARE_MAX
+    if sheet is None:
+        return False
+    return sheet.patches >= _PANE_PATCHES_MIN and sheet.share < _PANE_SHARE_MAX
 
 
 def _is_ajar(ended: FloatArray, depth_sum: FloatArray) -> bool:

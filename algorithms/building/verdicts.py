@@ -121,7 +121,7 @@ def join_in_line(walls: Walls, apart_m: float, gap_m: float) -> Walls:
 
 
 def join_corners(walls: Walls, others: Walls, settings: StandingWallsSettings) -> Walls:
-    """Faces extended to the corners that they make with others, where both end or pass close to it."""
+    """Faces extended to the corners that they make with others, where both end or pass nearby."""
     corner_m = settings.corner_m
     ends = walls.ends.copy()
     across = list(segments(others))

@@ -64,7 +64,7 @@ def is_in_wall(windows: Windows, walls: Walls) -> BoolArray:
 
 
 def is_beside(face: Segment, ends: FloatArray, normal: FloatArray) -> bool:
-    """Whether a window with these ends (2, 2) and normal (2,) overlaps a face that looks its way."""
+    """Whether a window with ends (2, 2) and normal (2,) overlaps a face that looks its way."""
     off_m = np.abs(face.before_m(ends)).max()
     looks = face.normal @ normal > 0.0
     return bool(looks and off_m < _ONE_WALL_M and face.shared_m(ends) > 0.0)
@@ -95,14 +95,16 @@ def panes_of_open_leaves(windows: Windows, doors: Doors) -> BoolArray:
     """(N,) which panes are of open doors' leaves.
 
     These stand aside from the wall, nearer to a jamb than to the doorway's middle, and no farther
-    from that jamb than the doorway is wide.
+    from that jamb than the doorway is wide. They hang in either face of the wall.
     """
     is_leaf = np.zeros(len(windows), bool)
-    for doorway, state in zip(segments(doors), doors.state, strict=True):
-        if state != DoorState.OPEN:
+    for d, doorway in enumerate(segments(doors)):
+        if doors.state[d] != DoorState.OPEN:
             continue
         is_aside = np.abs(windows.normal @ doorway.normal) < SAME_WAY
-        for jamb in doorway.at(np.array([0.0, doorway.length_m])):
+        jambs = doorway.at(np.array([0.0, doorway.length_m]))
+        other_face = jambs - np.nan_to_num(doors.reveal_m[d]) * doorway.normal
+        for jamb in np.concatenate([jambs, other_face]):
             from_jamb_m = np.linalg.norm(windows.ends - jamb, axis=2)
             within = from_jamb_m.max(axis=1) < doorway.length_m + 2.0 * CELL_M
             is_leaf |= is_aside & within & (from_jamb_m.min(axis=1) < 0.5 * doorway.length_m)
