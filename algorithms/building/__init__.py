@@ -1,5 +1,5 @@
-"""All scans together: wall faces, doors, windows, floors and ceilings of the building, and each return's final label.
+"""All scans together: walls, doors, windows, floors, ceilings, and each return's final label.
 
-fusion calls the steps in order. model holds their types, votes what scans said of each cube of space, evidence what rays
-found at each face, and parse what each stretch of it is.
+`fusion` calls the steps in order, on the types of `model`: `evidence` books rays in cells of faces,
+`parse` divides faces into stretches, `settle` decides which of them are walls.
 """

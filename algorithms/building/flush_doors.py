@@ -9,7 +9,8 @@ from functools import reduce
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
+from ffmap.algorithms.base.known import median_known, row_means, row_medians
+from ffmap.algorithms.base.scan import FloatArray, IntArray
 from ffmap.algorithms.base.segments import segment
 from ffmap.algorithms.building.evidence import FOOT_ROW, NEAR, ON, Evidence
 from ffmap.algorithms.building.model import (
@@ -25,6 +26,8 @@ from ffmap.algorithms.scan.doors import DoorState
 
 _RETURNS_MIN, _BINS = 2, 10
 """Least returns of a cell for its mean intensity, and steps of the cosine of incidence."""
+_KNOWN_MIN = 0.5
+"""Least share of known cells in a column, or of known rows of a leaf, for their median."""
 _ERRORS_MIN, _CONTRAST_MIN = 4.0, 0.03
 """Least step of the intensity at a jamb, in standard errors of the steps along its wall, and as a
 share of the wall's: the channels of one lidar differ by less."""
@@ -46,7 +49,7 @@ def find_flush_doors(parsed: ParsedFaces, settings: BuildingSettings) -> Doors:
     for w in range(len(parsed.faces)):
         own = evidence.of(w)
         found += [
-            (strength, _door(parsed, w, jambs, head, settings))
+            (strength, _door(parsed, w, own, jambs, head, settings))
             for strength, jambs, head in _leaves(shade[evidence.columns(w)], own, settings)
         ]
     found.sort(key=lambda seen: -seen[0])
@@ -78,7 +81,7 @@ def _leaves(
 ) -> list[tuple[float, tuple[int, int], int]]:
     """Contrast, first and last column, and head of the leaves in one face, none over another."""
     lowest = cells_in(settings.door_height_min_m)
-    column = _medians(shade[:, FOOT_ROW:lowest])
+    column = row_medians(shade[:, FOOT_ROW:lowest], _KNOWN_MIN)
     step = np.full(len(column), np.nan)
     for c in range(_STRIP, len(column) - _STRIP):
         step[c] = column[c + 1 : c + 1 + _STRIP].mean() - column[c - _STRIP : c].mean()
@@ -99,24 +102,14 @@ def _leaves(
     return kept
 
 
-def _medians(rows: FloatArray) -> FloatArray:
-    """(c,) medians of rows (c, n), NaN where less than half of a row is known."""
-    known = np.isfinite(rows).mean(axis=1) >= 0.5
-    medians = np.full(len(rows), np.nan)
-    medians[known] = np.nanmedian(rows[known], axis=1) if known.any() else np.nan
-    return medians
-
-
 def _peaks(step: FloatArray) -> IntArray:
     """(k,) columns where steps (c,) are large, and the largest within two columns."""
-    known = step[np.isfinite(step)]
-    if not len(known):
-        return np.zeros(0, np.int64)
-    error = 1.4826 * float(np.median(np.abs(known - np.median(known))))
+    error = 1.4826 * median_known(np.abs(step - median_known(step)))
     size = np.pad(np.nan_to_num(np.abs(step)), 2)
     largest = np.max([size[k : k + len(step)] for k in range(5)], axis=0)
     size = size[2:-2]
-    return np.flatnonzero((size == largest) & (size > max(_ERRORS_MIN * error, _CONTRAST_MIN)))
+    least = np.fmax(_ERRORS_MIN * error, _CONTRAST_MIN)
+    return np.flatnonzero((size == largest) & (size > least))
 
 
 def _leaf(
@@ -129,14 +122,14 @@ def _leaf(
     if min(map(len, wall)) < _STRIP:
         return 0.0, 0
     within = shade[first + 2 : last - 1]
-    around = _row_means(np.concatenate([shade[side] for side in sides]))
+    around = row_means(np.concatenate([shade[side] for side in sides]).T)
     lowest, highest = (
         cells_in(height_m) for height_m in (settings.door_height_min_m, settings.door_height_max_m)
     )
-    steps = _row_means(within) - around
-    step = float(np.nanmedian(steps[FOOT_ROW:lowest])) if _knows(steps[FOOT_ROW:lowest]) else 0.0
+    steps = row_means(within.T) - around
+    step = float(row_medians(steps[None, FOOT_ROW:lowest], _KNOWN_MIN)[0])
     left, right = (float(np.median(own)) for own in wall)
-    if abs(step) < _CONTRAST_MIN or abs(left - right) > _ALIKE_MAX * abs(step):
+    if not abs(step) >= _CONTRAST_MIN or abs(left - right) > _ALIKE_MAX * abs(step):
         return 0.0, 0
     contrast = steps / step
     gone = np.flatnonzero(contrast[lowest - 1 : highest + 1] < 0.5)
@@ -152,17 +145,6 @@ def _leaf(
     alike = [np.abs(part - 1.0) < _SPREAD_MAX for part in (contrast[FOOT_ROW:head], across)]
     shows = all(part.mean() > _PARTS_MIN for part in alike)
     return (abs(step), head) if shows and alike[0][:3].any() else (0.0, 0)
-
-
-def _knows(values: FloatArray) -> bool:
-    return bool(np.isfinite(values).mean() >= 0.5)
-
-
-def _row_means(cells: FloatArray) -> FloatArray:
-    """(rows,) means of cells (c, rows) by row, NaN where none is known."""
-    known = np.isfinite(cells)
-    total = np.where(known, cells, 0.0).sum(axis=0)
-    return np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
 def _is_flush(evidence: Evidence, jambs: tuple[int, int], head: int) -> bool:
@@ -181,12 +163,16 @@ def _mean_m(evidence: Evidence, columns: IntArray, head: int) -> float:
 
 
 def _door(
-    parsed: ParsedFaces, w: int, jambs: tuple[int, int], head: int, settings: BuildingSettings
+    parsed: ParsedFaces,
+    w: int,
+    evidence: Evidence,
+    jambs: tuple[int, int],
+    head: int,
+    settings: BuildingSettings,
 ) -> Doors:
     face, first, last = segment(parsed.faces.walls, w), *jambs
-    ended = parsed.faces.evidence.of(w).ended[first + 1 : last, FOOT_ROW:head]
+    ended = evidence.ended[first + 1 : last, FOOT_ROW:head]
     rays, on = ended[..., ON:].sum(axis=(1, 2)), ended[..., ON : NEAR + 1].sum()
-    covered: BoolArray = rays >= settings.rays_min
     return one_door(
         ends=face.at(CELL_M * np.array([first + 0.5, last + 0.5])),
         normal=face.normal,
@@ -194,7 +180,7 @@ def _door(
         depth_m=0.0,
         state=DoorState.CLOSED,
         agreement=float(on / max(rays.sum(), 1.0)),
-        coverage=covered.mean(),
+        coverage=(rays >= settings.rays_min).mean(),
         ray_count=int(rays.sum()),
         wall=w,
     )

@@ -58,6 +58,7 @@ from ffmap.algorithms.building.thickness import (
     part_walls,
 )
 from ffmap.algorithms.building.unseen_walls import (
+    Columns,
     UnseenWallsSettings,
     both_sides,
     lines_of_any_direction,
@@ -151,8 +152,8 @@ class _Parsed:
 def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     """Fuse walls from all planes, doors and windows from all rays.
 
-    Each ray is booked once in the cells of all candidates. What it found is parsed; windows among
-    that show which rays came from outside, and faces that such rays met are parsed again.
+    Each ray is booked once in the cells of all candidates, and these are parsed. Rays that ended
+    beyond the panes found so are subtracted, and the faces that they met are parsed again.
 
     Raises ValueError where there is no scan.
     """
@@ -204,25 +205,26 @@ def _find_candidates(scans: AllScans, settings: FusionSettings) -> _Candidates:
     faces = join_in_line(faces, settings.building.own_plane_m, settings.building.gap_m)
     faces = join_corners(faces, faces, settings.standing_walls)
     known = faces.append(leaves)
-    straight = _align(_straight_lines(known, scans, settings), scans, settings).walls
-    chords = _align(_chords(known, scans, settings), scans, settings).walls
+    columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
+    straight = _align(_straight_lines(columns, known, scans, settings), scans, settings).walls
+    chords = _align(_chords(columns, scans, settings), scans, settings).walls
     lines = join_corners(straight.append(chords), faces, settings.standing_walls)
     return _Candidates(faces.append(lines), len(faces), len(straight), leaves, aligned)
 
 
-def _straight_lines(known: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
+def _straight_lines(
+    columns: Columns, known: Walls, scans: AllScans, settings: FusionSettings
+) -> Walls:
     """Lines of returns along the walls' directions, from both sides."""
     high = _reaches_up(known.ends.mean(axis=1), known.top_m, scans.storey)
     share_min = settings.standing_walls.direction_share_min
     directions = wall_directions(known.select(high), share_min)
-    columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
     gap_m = settings.building.gap_m
     return both_sides(straight_lines(columns, directions, gap_m, settings.unseen_walls))
 
 
-def _chords(known: Walls, scans: AllScans, settings: FusionSettings) -> Walls:
+def _chords(columns: Columns, scans: AllScans, settings: FusionSettings) -> Walls:
     """Lines of returns of any direction, as high as walls are, from both sides."""
-    columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
     top_m = columns.top_m - scans.storey.ground_m(columns.place)
     high = _reaches_up(columns.place, top_m, scans.storey)
     return both_sides(lines_of_any_direction(columns.place[high], settings.unseen_walls))
@@ -250,7 +252,7 @@ def _find_glass(
     """The panes in faces, and those that lines show."""
     windows = windows_of([own for own in seen.openings if own.wall < candidates.planes])
     straight = candidates.lines[: candidates.straight]
-    gaps = seen.faces.part([(w, 0, _columns(seen.faces, w)) for w in straight])
+    gaps = seen.faces.part([seen.faces.faces.whole(w) for w in straight])
     fronts = fronts_of(find_openings(gaps.gaps_as_panes(), scans.trace_within))
     # Nobody glazes a wall: a sheet so close before one is the edges of a shelf's boards.
     middles, depth_m = fronts.ends.mean(axis=1), settings.unseen_walls.shelf_m
@@ -270,7 +272,7 @@ def _without_outside(
     beyond = scans.trace_beyond(faces.walls, glass)
     met = [w for w in range(len(faces)) if beyond.ended[beyond.columns(w)].any()]
     rest = replace(faces, evidence=faces.evidence.minus(beyond))
-    again = _parse(rest.part([(w, 0, _columns(seen.faces, w)) for w in met]), scans, settings)
+    again = _parse(rest.part([rest.whole(w) for w in met]), scans, settings)
     stretches = list(seen.faces.stretches)
     for k, w in enumerate(met):
         stretches[w] = again.faces.stretches[k]
@@ -302,7 +304,7 @@ def _judge(
     unseen, more = walls_of(
         clear.faces, candidates.lines, judged.walls, settings.building, settings.unseen_walls
     )
-    # What only rays without windows show, and others pass, a pane mirrored.
+    # A wall that all rays together pass is a mirror image in a pane.
     stands = room_before(unseen, scans.storey)
     stands &= np.array([mostly_stands(seen.faces, run) for run in more], bool)
     runs += [run for run, own in zip(more, stands, strict=True) if own]
@@ -314,11 +316,6 @@ def _is_outside(seen: _Parsed, clear: _Parsed, w: int) -> bool:
     own = seen.faces.faces.columns(w)
     left, whole = (p.faces.faces.evidence.ended[own, :, ON].sum() for p in (clear, seen))
     return bool(left < 0.5 * whole)
-
-
-def _columns(parsed: ParsedFaces, w: int) -> int:
-    own = parsed.faces.columns(w)
-    return int(own.stop - own.start)
 
 
 def _place_doors(doors: Doors, walls: Walls, scans: AllScans, settings: FusionSettings) -> Doors:

@@ -77,11 +77,6 @@ class Rows:
         """The k-th alone."""
         return self.select(np.array([k]))
 
-    @property
-    def key(self) -> bytes:
-        """The bytes of all rows: equal where these are the same bit for bit."""
-        return b"".join(getattr(self, field.name).tobytes() for field in fields(self))
-
     def append(self, more: Self) -> Self:
         """These and more."""
         rows = {f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}

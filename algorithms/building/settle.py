@@ -126,7 +126,7 @@ class ParsedFaces:
         found = [list(stretches) for stretches in self.stretches]
         for opening in openings:
             w, own = opening.wall, opening.stretch
-            if own.kind == Kind.PANE and not _is_glass(opening.sheet):
+            if own.kind == Kind.PANE and not opening.is_glass:
                 top_row = (self.faces.top_m[self.faces.columns(w)][own.columns]).min() / CELL_M
                 hangs = own.head < top_row - 2.0 * CEILING_MARGIN_M / CELL_M
                 told = replace(own, kind=Kind.HANGING if hangs else Kind.GAP)
@@ -139,8 +139,8 @@ def judge(
 ) -> tuple[JudgedFaces, list[Run]]:
     """The parts of faces that stand, with their openings, and those that end low or hang.
 
-    doubtful: (W,) which faces have to show themselves as walls, by odds of `odds_min`. Of others
-    than these, the first W, nothing is said.
+    doubtful: (F,) which of the first F faces have to show themselves as walls, by odds of
+    `odds_min`. The others are not judged.
     """
     faces, kept, refused = parsed.faces, list[Run](), []
     for w, stretches in enumerate(parsed.stretches[: len(doubtful)]):
@@ -281,7 +281,9 @@ class Opening:
     @property
     def is_glass(self) -> bool:
         """Whether a pane closes it: it returns few rays, from all over."""
-        return _is_glass(self.sheet)
+        if self.sheet is None:
+            return False
+        return self.sheet.patches >= _PANE_PATCHES_MIN and self.sheet.share < _PANE_SHARE_MAX
 
     @property
     def pane_m(self) -> float:
@@ -306,8 +308,8 @@ def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
     evidence = trace_within(faces)
     openings = []
     for k, (w, own) in enumerate(found):
-        crossed = parsed.faces.evidence.ended[parsed.faces.columns(w), :, ON:].sum(axis=2)
-        met = crossed[own.columns, own.sill : own.head].sum(axis=1)
+        ended = parsed.faces.evidence.ended[parsed.faces.columns(w)][own.columns]
+        met = ended[:, own.sill : own.head, ON:].sum(axis=(1, 2))
         within, inner = evidence.of(k), _within(own)
         sheet = find_sheet(within.ended[inner], within.depth_sum[inner])
         opening = Opening(w, own, faces.one(k), within, met, sheet, _blind(own, within))
@@ -385,12 +387,6 @@ def _door(opening: Opening, settings: BuildingSettings) -> Doors:
         ray_count=int(rays.sum()),
         wall=opening.wall,
     )
-
-
-def _is_glass(sheet: Sheet | None) -> bool:
-    if sheet is None:
-        return False
-    return sheet.patches >= _PANE_PATCHES_MIN and sheet.share < _PANE_SHARE_MAX
 
 
 def _is_ajar(ended: FloatArray, depth_sum: FloatArray) -> bool:

@@ -134,6 +134,11 @@ class TracedFaces:
         """The columns of one face."""
         return self.evidence.columns(w)
 
+    def whole(self, w: int) -> tuple[int, int, int]:
+        """One face as a stretch, see `cut`."""
+        own = self.columns(w)
+        return w, 0, own.stop - own.start
+
     def cut(self, stretches: list[tuple[int, int, int]]) -> Walls:
         """Stretches of faces as faces of their own.
 

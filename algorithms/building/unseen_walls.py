@@ -83,12 +83,8 @@ def walls_of(
     lines: which of the faces are such. known: the walls that scans see as planes.
     """
     faces, walls, runs = parsed.faces, NO_WALLS, list[Run]()
-    for w in lines:
-        middle, normal = faces.walls.ends[w].mean(axis=0)[None], faces.walls.normal[w][None]
-        around = known.append(walls)
-        faced = near_a_face(middle, -normal, around, 0.0, settings.faced_m)
-        beside = near_a_face(middle, normal, around, -settings.beside_m, settings.beside_m)
-        if faced[0] or beside[0]:
+    for w in lines[~_taken(faces.walls.select(lines), known, settings)]:
+        if _taken(faces.walls.one(w), walls, settings)[0]:
             continue
         stretches, ended = parsed.stretches[w], faces.evidence.ended[faces.columns(w)]
         crossed = _crossed_by(known, faces.walls, w, len(ended))
@@ -105,6 +101,14 @@ def walls_of(
                 walls = walls.append(_as_seen(faces, (w, first, after)))
                 runs.append((w, first, after))
     return walls, runs
+
+
+def _taken(lines: Walls, walls: Walls, settings: UnseenWallsSettings) -> BoolArray:
+    """(L,) whether a line is a wall's own, or faces one so near that nobody can stand between."""
+    middles = lines.ends.mean(axis=1)
+    faced = near_a_face(middles, -lines.normal, walls, 0.0, settings.faced_m)
+    beside = near_a_face(middles, lines.normal, walls, -settings.beside_m, settings.beside_m)
+    return faced | beside
 
 
 def _as_seen(faces: TracedFaces, part: Run) -> Walls:

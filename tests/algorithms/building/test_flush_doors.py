@@ -36,7 +36,7 @@ def found(*patches: Patch, before_m: float = 0.0, seed: int = 0, mirrored: bool 
     evidence = evidence_of(face)
     count = evidence.ended[..., : NEAR + 1].sum(axis=-1)
     cosine = np.linspace(0.3, 0.9, face.columns)[:, None]
-    # Intensities fall with the angle, and scatter by a twentieth for each return.
+    # Intensities fall with the angle, and a cell's mean scatters by 2 %.
     mean = shade * cosine * (1.0 + generator.normal(0.0, 0.02, shade.shape))
     light = np.stack([count, count * mean, count * cosine], axis=-1).astype(np.float32)
     order = slice(None, None, -1) if mirrored else slice(None)
