@@ -541,3 +541,12 @@ def test_odds_are_finite_and_never_above_zero(face: Face) -> None:
     assert np.isfinite(odds).all()
     assert (odds <= 0.0).all()
     assert (odds[..., : len(SHARES)].max(axis=-1) == 0.0).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_doorway_ends_where_nobody_saw_what_is_below(seed: int) -> None:
+    """Behind furniture a wall goes on up to the face's end, though only its upper part shows."""
+    hidden = Patch(UNSEEN, 26, 44, 0, 42)
+    stretches = draw(doorway(8, 26), hidden, columns=44, seed=seed).parse()
+    assert kinds_of(stretches) == [WALL, DOORWAY, WALL]
+    assert abs(stretches[1].after - 26) <= 1

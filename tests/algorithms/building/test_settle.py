@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ffmap.algorithms.building.evidence import BEYOND, DEEP, FAR, ON, RECESS, joined
+from ffmap.algorithms.building.evidence import BEFORE, BEYOND, DEEP, FAR, ON, RECESS, joined
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings
 from ffmap.algorithms.building.parse import OPENINGS, ParseSettings
 from ffmap.algorithms.building.settle import (
@@ -17,6 +17,7 @@ from ffmap.algorithms.building.settle import (
     fronts_of,
     glazed_doors_of,
     judge,
+    mostly_stands,
     windows_of,
 )
 from ffmap.algorithms.building.verdicts import FaceVerdict, JudgedFaces
@@ -165,3 +166,30 @@ def test_windows_have_a_sill_and_blinds_close_their_upper_part() -> None:
     assert (blinds.bottom_m[0], blinds.top_m[0], blinds.behind_m[0]) == pytest.approx(
         (1.6, 2.2, 0.08)
     )
+
+
+def test_a_pane_right_before_its_wall_is_a_glazed_sliding_door() -> None:
+    face = wall(5.0).paint(DOOR, DOOR_M, BEYOND, rays=20.0)
+    face.ended[40:58, :42, BEFORE], face.depth_sum[40:58, :42, BEFORE] = 1.0, 0.055
+    found = opened(face)
+    assert glazed_doors_of(found, SETTINGS).depth_m == pytest.approx(-0.055)
+    assert len(doors_of(found, SETTINGS)) == 0
+
+
+def test_frames_and_panes_before_a_dark_outside_are_no_blind() -> None:
+    face = wall(5.0).paint(WINDOW, WINDOW_M, BEYOND)
+    face.paint(WINDOW, (1.6, 2.2), DEEP)
+    depth_m = np.random.default_rng(0).uniform(-0.33, -0.13, (40, 12))
+    face.depth_sum[20:60, 32:44, DEEP] = 8.0 * depth_m
+    found = opened(face)
+    assert found[0].stretch.blind < found[0].stretch.head
+    assert len(blinds_of(found)) == 0
+    assert windows_of(found).top_m == pytest.approx(WINDOW_M[1])
+
+
+def test_a_part_stands_though_most_of_its_face_does_not() -> None:
+    found = parsed(wall(6.0).paint((2.0, 6.0), (0.0, 2.8), BEYOND))
+    assert mostly_stands(found, (0, 0, 40))
+    assert not mostly_stands(found, (0, 0, 120))
+    part = found.part([(0, 0, 40)])
+    assert part.stretches == ([s for s in found.stretches[0] if s.after <= 40],)

@@ -1,0 +1,32 @@
+"""Panes of open doors' leaves, told from windows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffmap.algorithms.building.windows import panes_of_open_leaves
+from ffmap.algorithms.scan.doors import DoorState
+from tests.faces import doors, window
+
+
+@pytest.mark.parametrize(
+    ("hinge_y", "state", "is_leaf"),
+    [
+        (0.0, DoorState.OPEN, True),
+        (-0.3, DoorState.OPEN, True),
+        (-0.8, DoorState.OPEN, False),
+        (0.0, DoorState.CLOSED, False),
+    ],
+    ids=["at the face", "at the wall's other face", "farther", "of a closed door"],
+)
+def test_the_pane_of_an_open_leaf_hangs_in_either_face_of_its_wall(
+    hinge_y: float, state: DoorState, is_leaf: bool
+) -> None:
+    doorway = doors(((1.0, 0.0), (1.9, 0.0)), normal=[[0.0, 1.0]], state=[state], reveal_m=[0.3])
+    outwards = -1.0 if hinge_y else 1.0
+    pane = window((1.0, hinge_y + 0.1 * outwards), (1.0, hinge_y + 0.95 * outwards))
+    pane = replace(pane, normal=np.array([[1.0, 0.0]]))
+    assert panes_of_open_leaves(pane, doorway).tolist() == [is_leaf]
+    aside = replace(pane, normal=np.array([[0.0, 1.0]]))
+    assert panes_of_open_leaves(aside, doorway).tolist() == [False]
