@@ -21,7 +21,7 @@ REFUSALS: dict[int, str] = {
 _DOORS = """\
 ## Doors
 A door has wall above it, or an overlight. Below, rays pass (open), or end on a leaf (closed).
-A closed leaf is recessed, hangs before the wall, or is made of glass.
+A closed leaf is recessed, differs from its wall in intensity, or is made of glass.
 
 - confidence = agreement (share of its rays) × coverage (share of its 5 cm columns)
 - depth: the leaf behind the wall
