@@ -23,7 +23,7 @@ def draw_furniture_free(
 ) -> GridMap:
     places = [immobile.walls.ends, immobile.doors.ends, drive.path_map[:, :2]]
     frame = GridMap.around(places, settings.cell_m)
-    standing = standing_stretches(immobile, knee_m)
+    standing = standing_stretches(immobile)
     draft = draft_furniture_free(immobile, standing, frame, settings, thickness)
     (grid,) = draw_free([draft], frame, drive, knee_m)
     return grid

@@ -7,9 +7,20 @@ import numpy as np
 
 from ffmap.algorithms.building.evidence import Evidence
 from ffmap.algorithms.building.face_foreground import Foreground
-from ffmap.algorithms.building.model import NO_WALLS, Blinds, Doors, Walls, Windows
+from ffmap.algorithms.building.model import (
+    NO_WALLS,
+    Blinds,
+    BuildingSettings,
+    Doors,
+    Walls,
+    Windows,
+)
+from ffmap.algorithms.building.parse import ParseSettings
+from ffmap.algorithms.building.settle import ParsedFaces
 from ffmap.algorithms.building.storey import TracedFaces
 from ffmap.algorithms.building.verdicts import JudgedFaces
+from ffmap.algorithms.scan.summary import Features
+from tests.tracing import traced_by
 
 CEILING_M = 2.8
 NO_BLINDS = Blinds(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
@@ -50,6 +61,12 @@ def traced(walls: Walls, evidence: Evidence, clear_m: np.ndarray | float = np.na
     """Faces and the rays that met them; clear_m: height of the ceiling before them, if any."""
     columns = int(evidence.first[-1])
     return TracedFaces(walls, evidence, np.full(columns, clear_m), np.zeros(columns))
+
+
+def parsed(walls: Walls, *scans: Features, ceiling_m: float = CEILING_M) -> ParsedFaces:
+    """Faces below a ceiling, parsed by the rays of scans that stayed where they were."""
+    faces = traced(walls, traced_by(walls, *scans), ceiling_m)
+    return ParsedFaces.of(faces, np.zeros((0, 2)), BuildingSettings(), ParseSettings())
 
 
 def window(*ends: tuple[float, float]) -> Windows:

@@ -15,12 +15,12 @@ from ffmap.algorithms.building.model import (
     Windows,
     one_door,
 )
-from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
+from ffmap.algorithms.maps.furniture_free import Immobile
 from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import Features, concatenate
+from tests.faces import parsed
 from tests.rasters import moved
-from tests.tracing import rays_alone, traced_by
-from tests.voting import vote
+from tests.tracing import rays_alone
 
 CEILING_M = 2.6
 HEAD_M = 2.05
@@ -181,11 +181,9 @@ class TwoRooms:
     ) -> tuple[Immobile, Drive]:
         """What the grid is drawn from."""
         features = self.scans()
-        votes = vote(features.ray_end_map, features.ray_label, len(Label), 0.05)
         immobile = Immobile(
             walls=self.walls,
-            evidence=traced_by(both_sides(self.walls), features),
-            votes=votes,
+            parsed=parsed(self.walls, features, ceiling_m=CEILING_M).stretches,
             doors=self.doors if doors is None else doors,
             windows=NO_WINDOWS if windows is None else windows,
         )

@@ -19,7 +19,6 @@ from ffmap.algorithms.maps.floor_plan import FloorPlan, draw_floor_plan
 from ffmap.algorithms.maps.free_space import draw_free
 from ffmap.algorithms.maps.furniture_free import (
     Immobile,
-    both_sides,
     draft_furniture_free,
     standing_stretches,
 )
@@ -55,11 +54,8 @@ class Maps:
 def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Maps:
     """Draw all maps of a building."""
     doors, windows, knee_m = building.model.doors, building.model.windows, settings.building.knee_m
-    # Rays that passed windows count here: the grid shows farther places as well.
-    faces = both_sides(building.model.walls)
-    evidence = scans.trace(faces)
-    immobile = Immobile(building.model.walls, evidence, scans.votes, doors, windows)
-    standing = standing_stretches(immobile, knee_m)
+    immobile = Immobile(building.model.walls, building.parsed.stretches, doors, windows)
+    standing = standing_stretches(immobile)
     places = [immobile.walls.ends, doors.ends, scans.path_map]
     frame = GridMap.around(places, settings.grid_map.cell_m)
     drafts = [

@@ -5,39 +5,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
-from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, segments
-from ffmap.algorithms.base.votes import VoxelVotes
-from ffmap.algorithms.building.evidence import BEYOND, DEEP, FOOT_ROW, ON, RECESS, Evidence
-from ffmap.algorithms.building.model import (
-    AT_FACE_M,
-    CELL_M,
-    Doors,
-    Walls,
-    Windows,
-    cells_in,
-    stretches,
-)
+from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, Doors, Walls, Windows, stretches
+from ffmap.algorithms.building.parse import Kind, Stretch
 from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
 from ffmap.algorithms.maps.free_space import Draft
 from ffmap.algorithms.maps.grid import GridMap, GridMapSettings
 from ffmap.algorithms.scan.doors import DoorState
 
-_RAYS_MIN = 3
-"""Minimum returns, or voxels of wall, that support a column (5 cm) of a wall's face."""
-_BRIDGE_M = 0.25
-"""Maximum gap (m) between supported columns that is closed."""
+_OPEN = Kind.DOORWAY, Kind.LEAF_DEEP, Kind.LEAF_FAR, Kind.PANE
+"""What a face is open at, down to the floor: behind a recess within the wall it is not."""
 _DOOR_MARGIN_M = 0.1
 """Free space (m) of a doorway beyond both sides of its wall."""
 _DOOR_GUESSED_M = 0.3
 """Minimum depth (m) of a doorway whose wall's thickness is not measured."""
 _GAP_MAX_M = 0.6
 """Maximum width (m) of a gap beside or in a window's wall that is no passage."""
-_PASSED_RAYS_MIN, _PASSED_RATIO = 6, 2.0
-"""Minimum rays that pass a face below the knee where it is open: in all, and for each return."""
 _SILL_MIN_M = 0.3
 """Minimum height (m) of a window's sill above the floor."""
 _RECESS_MAX_M, _RECESS_BESIDE_M = 0.6, 0.12
@@ -53,20 +38,13 @@ _NO_FACES: FloatArray = np.zeros((0, 2, 2))
 class Immobile:
     """The fixed structure of a building.
 
-    evidence: what rays found of `both_sides` of the walls. votes: all scans' labels by voxel, which
-    reach farther.
+    parsed: the stretches of each wall, but of low walls, which come last and are wall all along.
     """
 
     walls: Walls
-    evidence: Evidence
-    votes: VoxelVotes
+    parsed: Sequence[Sequence[Stretch]]
     doors: Doors
     windows: Windows
-
-
-def both_sides(walls: Walls) -> Walls:
-    """Faces of walls, then the same faces as seen from behind."""
-    return walls.append(replace(walls, normal=-walls.normal))
 
 
 def draft_furniture_free(
@@ -109,64 +87,30 @@ def draft_cells(places: FloatArray, frame: GridMap, windows: Windows) -> Draft:
     return Draft(occupied, _blocked(occupied, frame, windows))
 
 
-def standing_stretches(immobile: Immobile, knee_m: float) -> Walls:
-    """Cut walls into the stretches that returns support and that reach down to the floor.
+def standing_stretches(immobile: Immobile) -> Walls:
+    """Cut walls into the stretches that are wall down to the floor.
 
     Left out are:
-    - what rays passed below the knee, from either side: an opening, or a beam;
-    - what nothing was seen of, as behind a pillar;
+    - openings down to the floor;
     - the reveals of windows, below which the wall continues;
     - the leaves of open doors.
     """
-    walls, evidence = immobile.walls, immobile.evidence
-    voted = immobile.votes.mean_position[immobile.votes.label == Label.WALL, :2]
-    tree = cKDTree(voted) if len(voted) else None
+    walls = immobile.walls
     owner: list[int] = []
     found: list[FloatArray] = []
     for w, face in enumerate(segments(walls)):
-        sides = (
-            evidence.ended[evidence.columns(w)],
-            evidence.ended[evidence.columns(len(walls) + w)],
-        )
-        supported = _near(_on(sides[0])) >= _RAYS_MIN
-        missing = _passed(sides, knee_m)
-        middles = face.at((np.arange(len(supported)) + 0.5) * CELL_M)
-        if tree is not None:
-            near = tree.query_ball_point(middles, AT_FACE_M, return_length=True)
-            supported |= near >= _RAYS_MIN
-        missing |= _in_window_reveal(middles, face.normal, immobile.windows)
-        missing |= _of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
-        supported &= ~missing
-        # A face ends at a corner, up to which it is continued as over any other gap.
-        bordered = np.concatenate([[True], supported, [True]])
-        for start, last in stretches(bordered, cells_in(_BRIDGE_M)):
-            columns = np.arange(max(start - 1, 0), min(last, len(supported)))
-            if not supported[columns].any():
-                continue
-            for a, b in stretches(~missing[columns], 0):
-                ends_m = [columns[a] * CELL_M, min((columns[b] + 1) * CELL_M, face.length_m)]
-                owner.append(w)
-                found.append(face.at(np.array(ends_m)))
+        stands = np.ones(int(np.ceil(face.length_m / CELL_M - 1e-6)), bool)
+        for own in immobile.parsed[w] if w < len(immobile.parsed) else ():
+            stands[own.columns] &= own.kind not in _OPEN
+        middles = face.at((np.arange(len(stands)) + 0.5) * CELL_M)
+        stands &= ~_in_window_reveal(middles, face.normal, immobile.windows)
+        stands &= ~_of_open_leaf(middles, float(walls.top_m[w]), immobile.doors)
+        for first, last in stretches(stands):
+            ends_m = [first * CELL_M, min((last + 1) * CELL_M, face.length_m)]
+            owner.append(w)
+            found.append(face.at(np.array(ends_m)))
     chosen = walls.select(np.array(owner, np.int64))
     return replace(chosen, ends=np.array(found).reshape(-1, 2, 2))
-
-
-def _near(rays: FloatArray) -> FloatArray:
-    """(c,) rays of each column of cells (c, rows) and the two beside it."""
-    return np.convolve(rays.sum(axis=1), np.ones(3))[1:-1]
-
-
-def _on(ended: FloatArray) -> FloatArray:
-    """(c, rows) the rays that ended on a face, or in its recess."""
-    return np.asarray(ended[..., ON : RECESS + 1].sum(axis=-1, dtype=np.float64))
-
-
-def _passed(sides: Sequence[FloatArray], knee_m: float) -> BoolArray:
-    """(c,) whether rays from either side passed the columns of a face between foot and knee."""
-    low = slice(FOOT_ROW, cells_in(knee_m))
-    on = sum(_near(_on(ended[:, low])) for ended in sides)
-    through = sum(_near(ended[:, low, DEEP : BEYOND + 1].sum(axis=-1)) for ended in sides)
-    return np.asarray((through >= _PASSED_RAYS_MIN) & (through > _PASSED_RATIO * on))
 
 
 def _in_window_reveal(places: FloatArray, normal: FloatArray, windows: Windows) -> BoolArray:

@@ -7,7 +7,6 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.trajectory import PlacedScan
-from ffmap.algorithms.base.votes import VoxelTable
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.evidence import RECESS, first_columns
@@ -21,16 +20,14 @@ from ffmap.algorithms.building.model import (
     Walls,
     Windows,
 )
-from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.settle import (
     Opening,
-    ParsedFaces,
     doors_of,
     find_openings,
     windows_of,
 )
 from ffmap.algorithms.building.thickness import WallThicknessSettings, door_depths, part_walls
-from ffmap.algorithms.maps.furniture_free import Immobile, both_sides
+from ffmap.algorithms.maps.furniture_free import Immobile
 from ffmap.algorithms.maps.grid import Cell, GridMapSettings
 from ffmap.algorithms.scan.ceiling import below_ceiling
 from ffmap.algorithms.scan.doors import DoorState
@@ -38,7 +35,7 @@ from ffmap.algorithms.scan.labelling import ScanLabelling
 from ffmap.algorithms.scan.summary import Features, concatenate, extract
 from tests.corridor import HEIGHT_M, Hole, labelled, share
 from tests.drawing import draw_furniture_free
-from tests.faces import NO_BLINDS, NO_JUDGED_FACES, traced
+from tests.faces import NO_BLINDS, NO_JUDGED_FACES, parsed
 from tests.tracing import traced_by
 
 SETTINGS, FRAMES = BuildingSettings(), DoorFramesSettings()
@@ -46,9 +43,8 @@ SETTINGS, FRAMES = BuildingSettings(), DoorFramesSettings()
 
 def openings_of(walls: Walls, features: Features) -> list[Opening]:
     """What is open in the faces, below a ceiling over all of the corridor."""
-    faces = traced(walls, traced_by(walls, features), HEIGHT_M)
-    parsed = ParsedFaces.of(faces, np.zeros((0, 2)), BuildingSettings(), ParseSettings())
-    return find_openings(parsed, lambda within: traced_by(within, features, at_ends=True))
+    found = parsed(walls, features, ceiling_m=HEIGHT_M)
+    return find_openings(found, lambda within: traced_by(within, features, at_ends=True))
 
 
 def seen(hole: Hole | None) -> tuple[list[tuple], Features]:
@@ -147,8 +143,8 @@ def test_the_building_has_its_walls_and_its_door(depth: float | None) -> None:
     depth_m = door_depths(doors, walls, parts, thickness, SETTINGS.reveal_m, doors.reveal_m)
     doors = replace(doors, reveal_m=depth_m)
     drive = Drive(np.array([[-1.0, 0.0], [1.5, 0.0]]), lambda: [features])
-    of_both = traced_by(both_sides(walls), features)
-    immobile = Immobile(walls, of_both, VoxelTable(0.05, len(Label)).votes(), doors, windows)
+    stretches = parsed(walls, features, ceiling_m=HEIGHT_M).stretches
+    immobile = Immobile(walls, stretches, doors, windows)
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), thickness, SETTINGS.knee_m)
 
     def at(x: float, y: float) -> int:

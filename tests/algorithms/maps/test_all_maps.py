@@ -1,11 +1,14 @@
 """All maps of two rooms that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
 
+from ffmap.algorithms.building.evidence import Evidence
 from ffmap.algorithms.building.fusion import fuse_building
-from ffmap.algorithms.building.model import BuildingSettings
+from ffmap.algorithms.building.model import BuildingSettings, Walls
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps.all_maps import MapsSettings, draw_maps
 from ffmap.algorithms.maps.area_graph import AreaGraphSettings, Segmented
@@ -26,7 +29,12 @@ MAPS = MapsSettings(
 def test_two_rooms_are_two_rooms_and_every_map_shows_the_same_extent(closed: bool) -> None:
     rooms = TwoRooms(closed=closed)
     scans = driven(rooms)
-    maps = draw_maps(fuse_building(scans, SETTINGS), scans, MAPS)
+    building = fuse_building(scans, SETTINGS)
+
+    def traced_again(_: Walls) -> Evidence:
+        pytest.fail("The maps draw what the building was parsed into.")
+
+    maps = draw_maps(building, replace(scans, trace=traced_again), MAPS)
     assert len(maps.rooms) == 2
     assert set(maps.compared_rooms) == set(Segmented) - {Segmented.FURNITURE_FREE}
     assert set(maps.rivals) == set(Rival)

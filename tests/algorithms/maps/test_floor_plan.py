@@ -32,7 +32,7 @@ UNKNOWN_M = 0.3
 def plan_of(rooms: TwoRooms) -> FloorPlan:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), THICKNESS, KNEE_M)
-    stretches = standing_stretches(immobile, KNEE_M)
+    stretches = standing_stretches(immobile)
     return draw_floor_plan(stretches, immobile, grid, THICKNESS)
 
 

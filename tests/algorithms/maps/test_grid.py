@@ -7,27 +7,27 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.model import NO_WINDOWS, BuildingSettings, Walls, Windows
+from ffmap.algorithms.building.parse import Kind, Stretch
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.maps import free_space
 from ffmap.algorithms.maps.free_space import draw_free
 from ffmap.algorithms.maps.furniture_free import (
     Immobile,
-    both_sides,
     draft_cells,
     standing_stretches,
 )
 from ffmap.algorithms.maps.grid import Cell, GridMap, GridMapSettings
 from ffmap.algorithms.truth.maps import blocked_doors
 from tests.drawing import draw_cells, draw_furniture_free
-from tests.tracing import traced_by
-from tests.two_rooms import JAMBS_X, SIZE_M, TwoRooms, without
+from tests.faces import parsed
+from tests.two_rooms import CEILING_M, JAMBS_X, SIZE_M, TwoRooms, without
 
 KNEE_M = BuildingSettings().knee_m
 SETTINGS, THICKNESS = GridMapSettings(), WallThicknessSettings()
 TURNS = [0.0, 17.0, 45.0, 101.0]
-BEAM = ([[1.0, 2.2], [2.0, 2.2]], [0.0, 1.0])
 
 
 def draw(immobile: Immobile, drive: Drive, settings: GridMapSettings = SETTINGS) -> GridMap:
@@ -54,8 +54,8 @@ def with_walls(
 ) -> tuple[Immobile, Drive]:
     """The rooms, of which other faces were detected."""
     immobile, drive = rooms.build(windows=windows)
-    evidence = traced_by(both_sides(walls), rooms.scans())
-    return replace(immobile, walls=walls, evidence=evidence), drive
+    stretches = parsed(walls, rooms.scans(), ceiling_m=CEILING_M).stretches
+    return replace(immobile, walls=walls, parsed=stretches), drive
 
 
 def with_face(
@@ -122,6 +122,26 @@ def test_an_opening_without_a_detected_door_is_not_walled_up() -> None:
     assert Cell.OCCUPIED in at(grid, closed, across_the_door(closed))
 
 
+def test_only_what_closes_an_opening_at_the_face_is_drawn_where_no_door_was_found() -> None:
+    rooms = TwoRooms(both_seen=False)
+    immobile, _ = rooms.build(without(rooms.doors))
+    columns = {"first": 30, "after": 48, "sill": 2, "head": 41, "blind": 41}
+    for kind, stands in (
+        (Kind.WALL, True),
+        (Kind.WINDOW, True),
+        (Kind.HIDDEN, True),
+        (Kind.LEAF_RECESSED, True),
+        (Kind.LEAF_DEEP, False),
+        (Kind.LEAF_FAR, False),
+        (Kind.DOORWAY, False),
+        (Kind.PANE, False),
+    ):
+        own = Stretch(kind, **columns, odds=9.0, second=Kind.GAP)
+        parsed_so = replace(immobile, walls=immobile.walls.select([3]), parsed=[[own]])
+        found = lengths_m(standing_stretches(parsed_so).ends)
+        np.testing.assert_allclose(found, [4.0] if stands else [1.5, 1.6], atol=1e-6)
+
+
 def test_a_wall_is_not_continued_behind_a_pillar() -> None:
     rooms = TwoRooms(pillar=True)
     behind = np.column_stack([np.full(3, 0.01), [1.17, 1.2, 1.22]])
@@ -155,7 +175,7 @@ def test_the_reveals_of_a_window_are_no_walls_but_its_sill_is() -> None:
     walls = rooms.walls.append(replace(rooms.walls.select([2]), **reveal))
     for windows, is_wall in ((rooms.window, False), (None, True)):
         immobile, _ = with_walls(rooms, walls, windows)
-        found = standing_stretches(immobile, KNEE_M).ends
+        found = standing_stretches(immobile).ends
         last = walls.ends[-1, :, 0]
         assert any(np.allclose(np.sort(e[:, 0]), last, atol=0.01) for e in found) == is_wall
         southern = [ends for ends in found if np.allclose(ends[:, 1], 0.0)]
@@ -217,16 +237,6 @@ def test_space_that_rays_cross_beyond_an_undetected_window_is_not_free() -> None
     assert (at(grid, rooms, row(0.2, 3.8, 0.1)) == Cell.FREE).all()
 
 
-@pytest.mark.parametrize("normal_y", [1.0, -1.0])
-def test_a_beam_is_no_wall_from_whichever_side_rays_pass_below(normal_y: float) -> None:
-    ends, normal = BEAM[0], [0.0, normal_y]
-    places = row(1.1, 1.9, 2.21)
-    for low_m, expected in ((2.3, Cell.FREE), (0.0, Cell.OCCUPIED)):
-        rooms = TwoRooms(both_seen=False, more=((np.array(ends), (low_m, 2.6)),))
-        grid = draw(*with_face(rooms, ends, normal))
-        assert (at(grid, rooms, places) == expected).all()
-
-
 def lifted(drive: Drive, floor: FloatArray) -> Drive:
     """The same drive on another floor: its height at the map's origin, its slope along x and y."""
 
@@ -263,7 +273,7 @@ def test_the_leaf_of_an_open_door_is_no_wall_but_its_reveal_is() -> None:
     rooms = TwoRooms(leaf_deg=90.0)
 
     def reach(immobile: Immobile) -> float:
-        found = standing_stretches(immobile, KNEE_M).ends
+        found = standing_stretches(immobile).ends
         along = [ends for ends in found if np.allclose(ends[:, 0], JAMBS_X[0])]
         return max(float(ends[:, 1].max()) for ends in along)
 
@@ -277,9 +287,8 @@ def test_nothing_gives_an_unknown_map() -> None:
     rooms = TwoRooms()
     immobile, _ = rooms.build(without(rooms.doors))
     walls = immobile.walls.select(np.zeros(0, int))
-    evidence = traced_by(both_sides(walls))
     nowhere = Drive(np.zeros((0, 3)), list)
-    assert (draw(replace(immobile, walls=walls, evidence=evidence), nowhere).cells == Cell.UNKNOWN).all()
+    assert (draw(replace(immobile, walls=walls, parsed=()), nowhere).cells == Cell.UNKNOWN).all()
     empty = draw_cells(np.zeros((0, 2), int), NO_WINDOWS, nowhere, SETTINGS, KNEE_M)
     assert (empty.cells == Cell.UNKNOWN).all()
 

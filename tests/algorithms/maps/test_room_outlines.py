@@ -60,7 +60,7 @@ def building(rooms: TwoRooms) -> AreaGraph:
     immobile, drive = rooms.build()
     grid = draw_furniture_free(immobile, drive, GridMapSettings(), WallThicknessSettings(), KNEE_M)
     doors, windows = immobile.doors, immobile.windows
-    faces = (standing_stretches(immobile, KNEE_M), *sides_of(doors), windows)
+    faces = (standing_stretches(immobile), *sides_of(doors), windows)
     ways = doorways_of(doors)
     return find_rooms(grid, AreaGraphSettings(), ways, windows.ends, drive.path_map, faces)
 
