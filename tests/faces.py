@@ -52,6 +52,7 @@ def faces(*ends: Ends) -> Walls:
 def doors(*ends: Ends, head_m: float = 2.1, **columns: Any) -> Doors:
     """Doors of which all is 0 that is not given."""
     nothing = {field.name: np.zeros(len(ends)) for field in fields(Doors)}
+    nothing["normal"] = np.zeros((len(ends), 2))
     given = {name: np.array(values) for name, values in columns.items()}
     heads = np.full(len(ends), head_m)
     return Doors(**nothing | {"ends": np.array(ends), "head_m": heads} | given)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import lengths_m, segments
 from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, NO_DOORS, BuildingSettings, Doors
 from ffmap.algorithms.building.verdicts import SAME_WAY
@@ -45,6 +45,12 @@ def _through_m(door: Doors, doors: Doors) -> FloatArray:
         if other.normal @ own.normal < -SAME_WAY and beside:
             through_m[d] = behind_m if 0.0 < behind_m < _DOORWAY_MAX_M else np.nan
     return through_m
+
+
+def are_passages(doors: Doors, settings: BuildingSettings) -> BoolArray:
+    """(D,) which openings are no doors: wider than the widest pair of leaves, or higher."""
+    wide = lengths_m(doors.ends) > settings.door_width_max_m + CELL_M
+    return np.asarray(wide | (doors.head_m > settings.door_height_max_m + CELL_M))
 
 
 def drop_doubtful(doors: Doors, settings: BuildingSettings) -> Doors:

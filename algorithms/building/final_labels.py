@@ -35,6 +35,7 @@ from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.heights import HeightMap
 from ffmap.algorithms.building.model import (
     CELL_M,
+    NO_DOORS,
     NO_WALLS,
     NO_WINDOWS,
     Blinds,
@@ -94,6 +95,7 @@ class BuildingModel:
     levels: level surfaces, applied in this order.
     leaf_panes: panes in the leaves of open doors: no window of a wall.
     low_walls: those walls that end below the ceiling.
+    passages: openings larger than doors are, without leaves.
     """
 
     walls: Walls
@@ -105,6 +107,12 @@ class BuildingModel:
     levels: tuple[HeightMap, ...]
     leaf_panes: Windows = NO_WINDOWS
     low_walls: Walls = NO_WALLS
+    passages: Doors = NO_DOORS
+
+    @property
+    def ways(self) -> Doors:
+        """Doors, then passages."""
+        return self.doors.append(self.passages)
 
 
 class _Level(Protocol):

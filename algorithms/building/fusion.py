@@ -11,7 +11,7 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
-from ffmap.algorithms.building.doors import each_once, prove_crossed
+from ffmap.algorithms.building.doors import are_passages, each_once, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.evidence import ON
 from ffmap.algorithms.building.face_alignment import (
@@ -82,6 +82,7 @@ from ffmap.algorithms.building.windows import (
     join_windows,
     panes_of_open_leaves,
 )
+from ffmap.algorithms.scan.doors import DoorState
 from ffmap.algorithms.scan.summary import concatenate, without_rays
 
 _BELOW_CEILING_M, _WALL_M = 0.35, 2.25
@@ -171,7 +172,9 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     doors = doors.append(glazed_doors_of(in_walls, settings.building))
     parsed = clear.faces.part(runs)
     doors = doors.append(find_flush_doors(parsed, settings.building))
-    doors = _place_doors(doors, walls, scans, settings)
+    placed = _place_doors(doors, walls, scans, settings)
+    passed = are_passages(placed, settings.building) & (placed.state == DoorState.OPEN)
+    doors = placed.select(~passed)
     foreground = find_foreground(parsed.faces, parsed.opening, doors, settings.foreground)
     low = find_low_walls(clear.faces, walls, settings.low_walls)
     is_low = along_low_walls(judged.refused, low, settings.unseen_walls.beside_m)
@@ -191,6 +194,7 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
         scans.levels,
         leaf_panes=windows.select(is_leaf),
         low_walls=low,
+        passages=placed.select(passed),
     )
     return Building(model, parsed, candidates.aligned, thickness_m)
 
@@ -243,7 +247,7 @@ def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFa
 def _parse(traced: TracedFaces, scans: AllScans, settings: FusionSettings) -> _Parsed:
     parsed = ParsedFaces.of(traced, scans.path_map, settings.building, settings.parse)
     openings = find_openings(parsed, scans.trace_within)
-    return _Parsed(parsed.with_panes_told(openings), openings)
+    return _Parsed(*parsed.with_panes_told(openings, settings.building))
 
 
 def _find_glass(

@@ -121,7 +121,7 @@ def panels_of(building: "BuildingModel") -> Panels:
 
 
 def _parts(building: "BuildingModel") -> Iterator[Panels]:
-    walls, doors, windows = building.walls, building.doors, building.windows
+    walls, doors, windows = building.walls, building.ways, building.windows
     blinds, judged = building.blinds, building.judged
     doors = replace(doors, reveal_m=np.fmax(doors.reveal_m, 0.0))
     opened_m, pane_m = doors.reveal_m + _OTHER_FACE_M, pane_depth_m(windows)

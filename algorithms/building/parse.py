@@ -78,10 +78,12 @@ class Kind(IntEnum):
     """Something ends below the ceiling: a cupboard, a parapet."""
     HANGING = 10
     """Something hangs from the ceiling: a duct, a beam."""
+    PASSAGE = 11
+    """An opening down to the floor, larger than doors are, that nothing closes."""
 
 
 DOORS = Kind.DOORWAY, Kind.LEAF_RECESSED, Kind.LEAF_DEEP, Kind.LEAF_FAR
-OPENINGS = (*DOORS, Kind.WINDOW, Kind.PANE)
+OPENINGS = (*DOORS, Kind.WINDOW, Kind.PANE, Kind.PASSAGE)
 OF_WALLS = (Kind.WALL, *OPENINGS)
 """What a wall consists of."""
 

@@ -118,20 +118,30 @@ class ParsedFaces:
             found.append(own)
         return ParsedFaces(self.faces, tuple(found))
 
-    def with_panes_told(self, openings: "Sequence[Opening]") -> "ParsedFaces":
-        """Openings down to the floor that no door is as wide as, or as high: panes, or what hangs.
+    def with_panes_told(
+        self, openings: "Sequence[Opening]", building: BuildingSettings
+    ) -> "tuple[ParsedFaces, list[Opening]]":
+        """Openings down to the floor that no door is as wide as, or as high.
+
+        They are panes, passages below a lintel with wall on both sides, or what hangs.
 
         openings: those of these faces.
         """
-        found = [list(stretches) for stretches in self.stretches]
+        found, told = [list(stretches) for stretches in self.stretches], list[Opening]()
         for opening in openings:
             w, own = opening.wall, opening.stretch
             if own.kind == Kind.PANE and not opening.is_glass:
                 top_row = (self.faces.top_m[self.faces.columns(w)][own.columns]).min() / CELL_M
                 hangs = own.head < top_row - 2.0 * CEILING_MARGIN_M / CELL_M
-                told = replace(own, kind=Kind.HANGING if hangs else Kind.GAP)
-                found[w][found[w].index(own)] = told
-        return ParsedFaces(self.faces, tuple(found))
+                k = found[w].index(own)
+                beside = [s.kind for s in self.stretches[w][max(k - 1, 0) : k + 2 : 2]]
+                kind = Kind.HANGING if hangs else Kind.GAP
+                if hangs and beside == [Kind.WALL] * 2 and opening.may_be_passed(building):
+                    kind = Kind.PASSAGE
+                found[w][k] = replace(own, kind=kind)
+                opening = replace(opening, stretch=found[w][k])
+            told.append(opening)
+        return ParsedFaces(self.faces, tuple(found)), told
 
 
 def judge(
@@ -291,6 +301,17 @@ class Opening:
         return self.sheet.behind_m if self.sheet is not None and self.is_glass else float("nan")
 
     @property
+    def is_closed(self) -> bool:
+        """Whether a leaf closes it, or a wall right behind."""
+        return self.sheet is not None and self.sheet.share >= _LEAF_SHARE_MIN
+
+    def may_be_passed(self, settings: BuildingSettings) -> bool:
+        """Whether it is open, and at least as wide and high as the smallest door."""
+        own = self.stretch
+        high = own.head * CELL_M >= settings.door_height_min_m
+        return high and own.width_m >= settings.door_width_min_m and not self.is_closed
+
+    @property
     def is_open(self) -> bool:
         """Whether no blind closes all of it."""
         return self.blind - self.stretch.sill > 1
@@ -343,8 +364,9 @@ def _within(own: Stretch) -> tuple[slice, slice]:
 
 
 def doors_of(openings: Sequence[Opening], settings: BuildingSettings) -> Doors:
-    """The doors among openings, the surest first; none that a pane closes."""
-    found = [own for own in openings if own.stretch.kind in DOORS and not own.is_glass]
+    """The doors and passages among openings, the surest first; none that a pane closes."""
+    kinds = *DOORS, Kind.PASSAGE
+    found = [own for own in openings if own.stretch.kind in kinds and not own.is_glass]
     found.sort(key=lambda own: -own.stretch.odds)
     return reduce(Doors.append, (_door(own, settings) for own in found), NO_DOORS)
 
@@ -369,10 +391,9 @@ def _door(opening: Opening, settings: BuildingSettings) -> Doors:
     own, sheet, inner = opening.stretch, opening.sheet, _within(opening.stretch)
     ended, rays = opening.evidence.ended, opening.met
     lintel = ended[:, own.head :, ON].sum(axis=1) > 0
-    is_leaf = sheet is not None and sheet.share >= _LEAF_SHARE_MIN
     ajar = _is_ajar(ended[inner], opening.evidence.depth_sum[inner])
     behind_m, share = float("nan"), 1.0 - (sheet.share if sheet is not None else 0.0)
-    if sheet is not None and is_leaf and not ajar:
+    if sheet is not None and opening.is_closed and not ajar:
         behind_m, share = sheet.behind_m, sheet.share
     return one_door(
         ends=opening.face.ends[0],

@@ -54,7 +54,8 @@ class Maps:
 def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Maps:
     """Draw all maps of a building."""
     doors, windows, knee_m = building.model.doors, building.model.windows, settings.building.knee_m
-    immobile = Immobile(building.model.walls, building.parsed.stretches, doors, windows)
+    passages = building.model.passages
+    immobile = Immobile(building.model.walls, building.parsed.stretches, doors, windows, passages)
     standing = standing_stretches(immobile)
     places = [immobile.walls.ends, doors.ends, scans.path_map]
     frame = GridMap.around(places, settings.grid_map.cell_m)
@@ -64,9 +65,10 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Ma
     ]
     grid, *drawn = draw_free(drafts, frame, scans.drive, knee_m)
     rivals = dict(zip(Rival, drawn, strict=True))
-    bounds = (standing, *sides_of(doors), windows)
+    bounds = (standing, *sides_of(building.model.ways), windows)
     path_map, ways = scans.drive.path_map, doorways_of(doors)
-    rooms = find_rooms(grid, settings.area_graph, ways, windows.ends, path_map, bounds)
+    open_ways = doorways_of(passages)
+    rooms = find_rooms(grid, settings.area_graph, ways, windows.ends, path_map, bounds, open_ways)
     # Rooms of the normal map (Fig. 10), with and without alpha removal.
     normal = rivals[Rival.MIDDLE]
     as_is = settings.area_graph.model_copy(update={"furniture_max_m": 0.0})

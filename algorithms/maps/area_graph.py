@@ -147,6 +147,7 @@ def find_rooms(
     windows: FloatArray = NO_LINES,
     path_map: FloatArray | None = None,
     bounds: Sequence[Faces] = (),
+    passages: FloatArray = NO_DOORWAYS,
 ) -> AreaGraph:
     """Compute the Area Graph of a grid map.
 
@@ -155,14 +156,16 @@ def find_rooms(
     2), through which no room is reached. path_map: (n, 2 or more) the robot's places, for a map
     that was made on the way: rooms that no passage joins to them are dropped, and the edge of the
     mapped space is no jamb; None for a map of unknown origin. bounds: faces of walls, doors and
-    windows on which outlines are laid. All in metres of the map frame.
+    windows on which outlines are laid. passages: (P, 4, 2) of openings without a leaf, which
+    separate rooms as doorways do. All in metres of the map frame.
     """
     # Watersheds and distances need a border.
     cells = np.pad(grid.cells, 1, constant_values=Cell.UNKNOWN)
     rows, columns = window(cells == Cell.FREE, _MARGIN)
     part = GridMap(cells, grid.origin - grid.cell_m, grid.cell_m).cropped(rows, columns)
     free = part.cells == Cell.FREE
-    closed = _closed(part, doorways, windows)
+    ways = np.concatenate([doorways, passages])
+    closed = _closed(part, ways, windows)
     furniture = _furniture(~free | closed, grid.cell_m, settings.furniture_max_m)
     open_cells = (free | furniture) & ~closed
     walls = ~free if path_map is None else (part.cells == Cell.OCCUPIED) | closed
@@ -175,7 +178,7 @@ def find_rooms(
         open_cells, distance, nearest, walls, grid.cell_m, widest_m, with_mouths, settings
     )
     count = int(label.max(initial=0)) + 1
-    found = [_sides(label, part, doorway) for doorway in doorways]
+    found = [_sides(label, part, way) for way in ways]
     sides = np.array(found, np.int32).reshape(-1, 2)
     openings = _openings(label, part)
     if path_map is not None:
@@ -188,10 +191,11 @@ def find_rooms(
     index, outlines = _by_size(numbers, outlines, count)
     whole = np.full(cells.shape, -1, np.int32)
     whole[rows, columns] = index[label]
-    door_rooms = tuple((int(a), int(b)) for a, b in index[sides])
+    way_rooms = tuple((int(a), int(b)) for a, b in index[sides])
+    door_rooms = way_rooms[: len(doorways)]
     return AreaGraph(
         rooms=_rooms(outlines, door_rooms),
-        passages=_passages(index, door_rooms, openings, doorways),
+        passages=_passages(index, way_rooms, openings, ways, len(doorways)),
         label=whole[1:-1, 1:-1],
         origin=grid.origin,
         cell_m=grid.cell_m,
@@ -455,14 +459,18 @@ def _rooms(
 
 def _passages(
     index: IntArray,
-    door_rooms: Sequence[tuple[int, int]],
+    way_rooms: Sequence[tuple[int, int]],
     openings: Sequence[tuple[tuple[int, int], FloatArray]],
-    doorways: FloatArray,
+    ways: FloatArray,
+    doors: int,
 ) -> tuple[Passage, ...]:
-    """Doors between two rooms, and the openings that are none of these; index: see `_by_size`."""
+    """Doors and passages between two rooms, and the openings that are none of these.
+
+    index: see `_by_size`. doors: how many of the ways are doors.
+    """
     passages = [
-        Passage((min(pair), max(pair)), doorways[door, :2], door)
-        for door, pair in enumerate(door_rooms)
+        Passage((min(pair), max(pair)), ways[k, :2], k if k < doors else None)
+        for k, pair in enumerate(way_rooms)
         if min(pair) >= 0 and pair[0] != pair[1]
     ]
     by_door = {passage.rooms: passage.line for passage in passages}

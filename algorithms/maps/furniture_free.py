@@ -8,14 +8,22 @@ import shapely
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import Segment, lengthened, segments
-from ffmap.algorithms.building.model import AT_FACE_M, CELL_M, Doors, Walls, Windows, stretches
+from ffmap.algorithms.building.model import (
+    AT_FACE_M,
+    CELL_M,
+    NO_DOORS,
+    Doors,
+    Walls,
+    Windows,
+    stretches,
+)
 from ffmap.algorithms.building.parse import Kind, Stretch
 from ffmap.algorithms.building.thickness import WallThicknessSettings, face_thickness, part_walls
 from ffmap.algorithms.maps.free_space import Draft
 from ffmap.algorithms.maps.grid import GridMap, GridMapSettings
 from ffmap.algorithms.scan.doors import DoorState
 
-_OPEN = Kind.DOORWAY, Kind.LEAF_DEEP, Kind.LEAF_FAR, Kind.PANE
+_OPEN = Kind.DOORWAY, Kind.LEAF_DEEP, Kind.LEAF_FAR, Kind.PANE, Kind.PASSAGE
 """What a face is open at, down to the floor: behind a recess within the wall it is not."""
 _DOOR_MARGIN_M = 0.1
 """Free space (m) of a doorway beyond both sides of its wall."""
@@ -39,12 +47,14 @@ class Immobile:
     """The fixed structure of a building.
 
     parsed: the stretches of each wall, but of low walls, which come last and are wall all along.
+    passages: openings without leaves, free in any case.
     """
 
     walls: Walls
     parsed: Sequence[Sequence[Stretch]]
     doors: Doors
     windows: Windows
+    passages: Doors = NO_DOORS
 
 
 def draft_furniture_free(
@@ -60,17 +70,18 @@ def draft_furniture_free(
 
     standing: see `standing_stretches`.
     """
-    doors = immobile.doors
+    doors = immobile.doors.append(immobile.passages)
+    has_leaf = np.arange(len(doors)) < len(immobile.doors)
     occupied = np.zeros(frame.cells.shape, bool)
     for ends in standing.ends:
         occupied[frame.on_line(ends)] = True
-    doorways = _doorways(immobile, thickness, frame.cell_m)
+    doorways = _doorways(doors, immobile.walls, thickness, frame.cell_m)
     for doorway in doorways:
         occupied[frame.in_area(doorway)] = False
     behind = doors.ends - (doors.reveal_m[:, None] * doors.normal)[:, None]
     for reveal in np.stack([doors.ends, behind], axis=2).reshape(-1, 2, 2):
         occupied[frame.on_line(reveal)] = True
-    shut = np.full(len(doors), settings.doors == "closed")
+    shut = has_leaf & (settings.doors == "closed")
     if settings.doors == "as-seen":
         shut = doors.state == DoorState.CLOSED
     open_ways = [doorway for doorway, is_shut in zip(doorways, shut, strict=True) if not is_shut]
@@ -145,14 +156,13 @@ def _of_open_leaf(places: FloatArray, top_m: float, doors: Doors) -> BoolArray:
 
 
 def _doorways(
-    immobile: Immobile, thickness: WallThicknessSettings, inset_m: float
+    doors: Doors, walls: Walls, thickness: WallThicknessSettings, inset_m: float
 ) -> list[FloatArray]:
     """(4, 2) corners of what each doorway leaves free, from before the wall to behind it."""
-    doors = immobile.doors
-    parts = part_walls(immobile.walls, thickness)
+    parts = part_walls(walls, thickness)
     # Where the thickness is a guess, or a leaf hid the wall's other side, a doorway rather ends in
     # the room behind.
-    guessed = np.isnan(face_thickness(immobile.walls, parts)[doors.wall])
+    guessed = np.isnan(face_thickness(walls, parts)[doors.wall])
     guessed |= doors.state == DoorState.CLOSED
     depth_m = np.where(guessed, np.maximum(doors.reveal_m, _DOOR_GUESSED_M), doors.reveal_m)
     doorways = []

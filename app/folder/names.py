@@ -17,6 +17,7 @@ LABELS = "labels.parquet"
 METRICS = "metrics.json"
 WALLS = "walls.geojson"
 DOORS = "doors.geojson"
+PASSAGES = "passages.geojson"
 ROOMS = "rooms.geojson"
 ROOMS_OSM = "rooms.osm"
 FLOOR_PLAN_SVG = "floorplan.svg"
@@ -51,8 +52,8 @@ def file_names() -> frozenset[str]:
     from ffmap.blueprints.entities import FURNITURE_FREE
 
     names = {RUN_JSON, RECORDING, EVALUATION, TRAJECTORY, CLOUD, LABELLED_BAG, LABELLED_FOLDER}
-    names |= {LABELS, METRICS, WALLS, DOORS, ROOMS_OSM, FLOOR_PLAN_SVG, FLOOR_PLAN_DXF, OVERLAY}
-    names |= {SPOOL}
+    names |= {LABELS, METRICS, WALLS, DOORS, PASSAGES, ROOMS_OSM, OVERLAY, SPOOL}
+    names |= {FLOOR_PLAN_SVG, FLOOR_PLAN_DXF}
     names |= {rooms_file(name) for name in Segmented}
     for name in (FURNITURE_FREE, *Rival):
         names |= {map_file(name), str(Path(map_file(name)).with_suffix(".pgm"))}

@@ -26,6 +26,19 @@ def write_rooms(path: Path, graph: AreaGraph) -> None:
     write_geojson(path, features)
 
 
+def write_passages(path: Path, graph: AreaGraph) -> None:
+    """Write openings between rooms without a door as LineStrings with their rooms and width."""
+    features = [
+        {
+            "properties": {"rooms": own["rooms"], "width": own["width_m"]},
+            "geometry": {"type": "LineString", "coordinates": passage.line},
+        }
+        for passage, own in zip(graph.passages, topology(graph)["passages"], strict=True)
+        if passage.door is None
+    ]
+    write_geojson(path, features)
+
+
 def outlines(features: Sequence[dict[str, Any]]) -> list[shapely.Polygon]:
     """Return the Polygons of GeoJSON features."""
     return [shapely.geometry.shape(feature["geometry"]) for feature in features]

@@ -85,7 +85,7 @@ def log_building(log: Log, building: BuildingModel) -> None:
 
 def _log_walls(log: Log, building: BuildingModel) -> None:
     walls, foreground = building.walls, building.foreground
-    panels = wall_panels(walls, building.doors, building.windows, building.blinds)
+    panels = wall_panels(walls, building.ways, building.windows, building.blinds)
     if len(walls):
         mesh = panel_mesh(panels.ends, panels.bottom_m, panels.top_m, WALL_COLOR)
         of_walls = evidence(walls, "scan_count", "rms_m", wall_of_panel=panels.wall)

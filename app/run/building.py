@@ -23,6 +23,7 @@ from ffmap.app.folder.names import (
     DOORS,
     FLOOR_PLAN_DXF,
     FLOOR_PLAN_SVG,
+    PASSAGES,
     ROOMS_OSM,
     WALLS,
     map_file,
@@ -31,7 +32,7 @@ from ffmap.app.folder.names import (
 from ffmap.app.folder.osm_file import write_osm
 from ffmap.app.folder.pictures import write_floor_plan
 from ffmap.app.folder.plan_dxf import write_dxf
-from ffmap.app.folder.room_files import door_rooms, write_rooms
+from ffmap.app.folder.room_files import door_rooms, write_passages, write_rooms
 from ffmap.app.folder.walls_and_doors import write_doors, write_walls
 from ffmap.app.record.building import (
     log_building,
@@ -149,6 +150,7 @@ def write_maps(run: Run, building: Building, maps: Maps) -> None:
         rooms = {Segmented.FURNITURE_FREE: maps.rooms} | dict(maps.compared_rooms)
         for segmented, graph in rooms.items():
             write_rooms(folder / rooms_file(segmented), graph)
+        write_passages(folder / PASSAGES, maps.rooms)
         write_osm(folder / ROOMS_OSM, maps.rooms)
     if Output.PLAN in outputs:
         write_floor_plan(folder / FLOOR_PLAN_SVG, maps.plan, run.inputs.bag_path.name)

@@ -35,7 +35,7 @@ class Output(StrEnum):
     PLAN = "plan"
     """floorplan.svg and floorplan.dxf."""
     GEOJSON = "geojson"
-    """walls.geojson, doors.geojson, rooms.geojson, rooms.osm, rooms_NAME.geojson of other maps."""
+    """walls, doors, passages and rooms.geojson, rooms.osm, rooms_NAME.geojson of other maps."""
 
 
 RUN_OUTPUTS = tuple(output for output in Output if output is not Output.LABELLED_BAG)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from ffmap.algorithms.building.doors import are_passages
 from ffmap.algorithms.building.evidence import BEFORE, BEYOND, DEEP, FAR, ON, RECESS, joined
 from ffmap.algorithms.building.model import CELL_M, BuildingSettings
-from ffmap.algorithms.building.parse import OPENINGS, ParseSettings
+from ffmap.algorithms.building.parse import OPENINGS, Kind, ParseSettings
 from ffmap.algorithms.building.settle import (
     Opening,
     ParsedFaces,
@@ -30,9 +31,9 @@ DOOR, DOOR_M = (2.0, 2.9), (0.0, 2.1)
 WINDOW, WINDOW_M = (1.0, 3.0), (0.9, 2.2)
 
 
-def parsed(face: Painted) -> ParsedFaces:
+def parsed(face: Painted, ceiling_m: float = 2.8) -> ParsedFaces:
     """Of a face from (0, 0) along x."""
-    known = traced(faces(((0.0, 0.0), (face.columns * CELL_M, 0.0))), evidence_of(face), 2.8)
+    known = traced(faces(((0.0, 0.0), (face.columns * CELL_M, 0.0))), evidence_of(face), ceiling_m)
     return ParsedFaces.of(known, np.zeros((0, 2)), BuildingSettings(), ParseSettings())
 
 
@@ -42,9 +43,9 @@ def judged(face: Painted, is_doubtful: bool = False) -> JudgedFaces:
     return found
 
 
-def opened(face: Painted) -> list[Opening]:
+def opened(face: Painted, ceiling_m: float = 2.8) -> list[Opening]:
     """The openings of one face, into which all rays tell the same as at its cells."""
-    found = parsed(face)
+    found = parsed(face, ceiling_m)
     evidence, stretches = found.faces.evidence, found.stretches[0]
     own = [part(evidence, s.first, s.after) for s in stretches if s.kind in OPENINGS]
     return find_openings(found, lambda _: joined(own, evidence.rows))
@@ -93,6 +94,38 @@ def test_a_doubtful_face_has_to_show_itself() -> None:
         face = wall(2.0).paint((0.0, 2.0), (0.0, 2.8), ON, rays)
         assert judged(face, is_doubtful=True).verdict.tolist() == verdicts
         assert len(judged(face).walls) == 1
+
+
+@pytest.mark.parametrize(
+    ("x_m", "top_m", "layer", "kinds"),
+    [
+        ((1.5, 4.6), 2.3, BEYOND, {Kind.PASSAGE}),  # wider than a pair of leaves
+        ((2.0, 3.2), 2.9, BEYOND, {Kind.PASSAGE}),  # higher than a door
+        ((2.0, 3.2), 2.1, BEYOND, {Kind.DOORWAY}),
+        ((1.5, 4.6), 2.3, DEEP, {Kind.HANGING}),  # closed: a niche
+    ],
+)
+def test_an_opening_larger_than_doors_is_a_passage_where_nothing_closes_it(
+    x_m: tuple[float, float], top_m: float, layer: int, kinds: set[Kind]
+) -> None:
+    face = wall(6.0, 3.2).paint(x_m, (0.0, top_m), layer)
+    found = parsed(face, 3.2)
+    told, openings = found.with_panes_told(opened(face, 3.2), SETTINGS)
+    assert {s.kind for s in told.stretches[0]} == {Kind.WALL} | kinds
+    _, runs = judge(told, np.array([False]), 10.0, SETTINGS)
+    assert len(runs) == (2 if Kind.HANGING in kinds else 1)
+    doors = doors_of(openings, SETTINGS)
+    assert are_passages(doors, SETTINGS).tolist() == [
+        kind == Kind.PASSAGE for kind in kinds - {Kind.HANGING}
+    ]
+    for ends in doors.ends:
+        np.testing.assert_allclose(ends[:, 0], x_m, atol=1e-6)
+
+
+def test_what_hangs_beside_no_wall_is_no_passage() -> None:
+    face = wall(4.0).paint((1.0, 4.0), (0.0, 2.3), BEYOND)
+    told, _ = parsed(face).with_panes_told(opened(face), SETTINGS)
+    assert Kind.PASSAGE not in {s.kind for s in told.stretches[0]}
 
 
 def sheet_in(face: Painted) -> Sheet | None:

@@ -195,6 +195,17 @@ def test_detected_doors_part_rooms_whatever_their_width() -> None:
             assert graph.rooms[room].polygon.distance(plan.doorways[door]) < 2 * CELL_M
 
 
+def test_passages_part_rooms_and_are_no_doors() -> None:
+    plan = office(door_m=2.8)
+    doorways, passages = plan.corners[:2], plan.corners[2:]
+    graph = find_rooms(draw(plan), SETTINGS, doorways, passages=passages)
+    assert_found(graph, plan)
+    assert_star(graph, plan)
+    assert len(graph.door_rooms) == 2
+    doors = [passage.door for passage in graph.passages]
+    assert doors == [0, 1] + [None] * len(passages)
+
+
 def test_the_room_beyond_a_closed_door_is_unknown() -> None:
     plan = office()
     graph = find_rooms(draw(Plan(plan.rooms[:-1], plan.doorways)), SETTINGS, plan.corners)

@@ -113,6 +113,14 @@ def test_closed_leaves_and_doorways_block_where_that_is_asked() -> None:
     assert Cell.OCCUPIED in at(grid, rooms, across_the_door(rooms))
 
 
+@pytest.mark.parametrize("doors", ["open", "as-seen", "closed"])
+def test_a_passage_is_free_through_the_whole_wall_whatever_is_asked_of_doors(doors: str) -> None:
+    rooms = TwoRooms()
+    immobile, drive = rooms.build(without(rooms.doors))
+    grid = draw(replace(immobile, passages=rooms.doors), drive, GridMapSettings(doors=doors))
+    assert (at(grid, rooms, across_the_door(rooms)) == Cell.FREE).all()
+
+
 def test_an_opening_without_a_detected_door_is_not_walled_up() -> None:
     rooms = TwoRooms()
     grid = draw(*rooms.build(without(rooms.doors)))
@@ -135,6 +143,7 @@ def test_only_what_closes_an_opening_at_the_face_is_drawn_where_no_door_was_foun
         (Kind.LEAF_FAR, False),
         (Kind.DOORWAY, False),
         (Kind.PANE, False),
+        (Kind.PASSAGE, False),
     ):
         own = Stretch(kind, **columns, odds=9.0, second=Kind.GAP)
         parsed_so = replace(immobile, walls=immobile.walls.select([3]), parsed=[[own]])

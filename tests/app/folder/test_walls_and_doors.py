@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffmap.algorithms.maps.area_graph import find_rooms
 from ffmap.app.folder.atomic import write_json
+from ffmap.app.folder.room_files import topology, write_passages
 from ffmap.app.folder.walls_and_doors import write_doors, write_walls
+from tests.algorithms.maps.test_area_graph import SETTINGS, draw, office
 from tests.faces import doors, faces
 
 
@@ -80,3 +83,19 @@ def test_what_json_cannot_say_is_null_and_a_failure_leaves_the_earlier_file(tmp_
         write_json(path, object())
     assert json.loads(path.read_text()) == expected
     assert [file.name for file in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_passages_are_the_openings_of_the_topology_that_have_no_door(tmp_path: Path) -> None:
+    plan = office(door_m=2.8)
+    ways = plan.corners
+    graph = find_rooms(draw(plan), SETTINGS, ways[:1], passages=ways[1:])
+    write_passages(tmp_path / "passages.geojson", graph)
+    expected = [own for own in topology(graph)["passages"] if own["door"] is None]
+    found = features(tmp_path / "passages.geojson")
+    assert len(found) == len(ways) - 1
+    for own, passage in zip(found, expected, strict=True):
+        width_m = passage["width_m"]
+        assert own["properties"] == {"rooms": passage["rooms"], "width": width_m}
+        assert width_m == pytest.approx(2.8)
+        line = np.array(own["geometry"]["coordinates"])
+        np.testing.assert_allclose(line.mean(axis=0), passage["middle"], atol=1e-3)
