@@ -23,6 +23,7 @@ from ffmap.algorithms.maps.furniture_free import (
     standing_stretches,
 )
 from ffmap.algorithms.maps.grid import GridMap, GridMapSettings
+from ffmap.algorithms.maps.open_edges import close_edges
 from ffmap.algorithms.maps.rivals import Rival, draft_rival
 
 
@@ -64,6 +65,7 @@ def draw_maps(building: Building, scans: AllScans, settings: MapsSettings) -> Ma
         *(draft_rival(rival, scans.rivals, frame, windows) for rival in Rival),
     ]
     grid, *drawn = draw_free(drafts, frame, scans.drive, knee_m)
+    grid = close_edges(grid, scans.votes, windows.ends)
     rivals = dict(zip(Rival, drawn, strict=True))
     bounds = (standing, *sides_of(building.model.ways), windows)
     path_map, ways = scans.drive.path_map, doorways_of(doors)
