@@ -343,9 +343,12 @@ def evaluate(
 def inspect(
     run_folder: shared.RunFolder,
     scan: Annotated[
-        str,
-        Option(help="Number of the scan, or 'worst': the scan with most wrong or changed labels."),
-    ],
+        str | None,
+        Option(
+            help="Number of the scan, or 'worst': the scan with most wrong or changed labels.  "
+            "[default: the building]"
+        ),
+    ] = None,
     line: Annotated[
         int | None,
         Option(
@@ -362,19 +365,29 @@ def inspect(
     ] = None,
     spawn: shared.Spawn = False,
 ) -> None:
-    """Show one scan, line by line: measurements, labels, and the reason of each label.
+    """Show why the building has its walls, doors and windows, or why a scan has its labels.
 
-    Labels the scan again from the bag and checks the result against the labels of the run.
+    Without --scan, prints the odds of each wall, door, window and refused face against the next
+    best kind, and the rays they rest on. With --scan, labels the scan again from the bag, checks
+    the result against the labels of the run, and prints the reason of each label.
 
     Examples:
 
     ```
+    ffmap inspect runs/latest
     ffmap inspect runs/latest --scan worst
     ffmap inspect runs/a --scan 120 --line 37 --spawn
     ```
     """
     from ffmap.app.commands import inspect as command
 
+    if scan is None:
+        of_scan = {"--line": line, "--bag": bag, "--out": out, "--spawn": spawn or None}
+        given = [option for option, value in of_scan.items() if value is not None]
+        if given:
+            raise InputError(f"{given[0]}: requires --scan")
+        command.print_building(run_folder)
+        return
     moved = BagPath(tuple(bag)) if bag else None
     command.inspect(run_folder, scan, line, moved, out, spawn)
 

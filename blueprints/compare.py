@@ -152,7 +152,7 @@ def _growing_map(run: ComparedRun, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
         entities.MAP_POINTS,
         entities.TRAJECTORY,
         "/world/base/**",
-        "/world/building/walls",
+        f"{entities.WALLS}/**",
         "/world/building/doors",
         "/world/building/windows",
     )

@@ -215,11 +215,11 @@ def _building(centre_m: Centre, extent_m: float, first: bool) -> rrb.Container:
         overrides={**names, **overhead},
     )
     faces = space(
-        "Cells of walls: solid green, recess blue, open white, hidden orange, unseen black",
-        [f"{entities.FACES}/**", "/world/building/stretches"],
+        "Cells of faces: solid green, recess blue, open white, hidden orange, unseen black",
+        [f"{entities.FACES}/**"],
         aslant(centre_m, extent_m),
     )
-    reasons = text("/world/building/reasons", "What was measured of doors, refused faces, windows")
+    reasons = text(entities.REASONS, "Evidence for doors, refused faces, walls, windows")
     labels = _label_legend()
     return rrb.Vertical(
         rrb.Horizontal(labels, _glance()) if first else labels,

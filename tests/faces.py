@@ -14,6 +14,7 @@ from ffmap.algorithms.building.model import (
     Doors,
     Walls,
     Windows,
+    unknown_support,
 )
 from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.settle import ParsedFaces
@@ -46,13 +47,15 @@ def faces(*ends: Ends) -> Walls:
         np.full(count, 9, np.int32),
         np.full(count, 0.01),
         np.full(count, 900),
+        unknown_support(count),
     )
 
 
 def doors(*ends: Ends, head_m: float = 2.1, **columns: Any) -> Doors:
     """Doors of which all is 0 that is not given."""
-    nothing = {field.name: np.zeros(len(ends)) for field in fields(Doors)}
+    nothing: dict[str, Any] = {field.name: np.zeros(len(ends)) for field in fields(Doors)}
     nothing["normal"] = np.zeros((len(ends), 2))
+    nothing["support"] = unknown_support(len(ends))
     given = {name: np.array(values) for name, values in columns.items()}
     heads = np.full(len(ends), head_m)
     return Doors(**nothing | {"ends": np.array(ends), "head_m": heads} | given)
@@ -73,4 +76,5 @@ def parsed(walls: Walls, *scans: Features, ceiling_m: float = CEILING_M) -> Pars
 def window(*ends: tuple[float, float]) -> Windows:
     """A window between 0.9 and 2.2 m, its pane 10 cm behind the face."""
     normal, bottom_m, top_m = np.array([[0.0, 1.0]]), np.array([0.9]), np.array([2.2])
-    return Windows(np.array([ends]), normal, bottom_m, top_m, np.array([0.1]))
+    pane_m = np.array([0.1])
+    return Windows(np.array([ends]), normal, bottom_m, top_m, pane_m, unknown_support(1))

@@ -14,6 +14,7 @@ from ffmap.algorithms.building.model import (
     Walls,
     Windows,
     one_door,
+    unknown_support,
 )
 from ffmap.algorithms.maps.furniture_free import Immobile
 from ffmap.algorithms.scan.doors import DoorState
@@ -112,7 +113,7 @@ class TwoRooms:
         assert self.glass is not None
         bottom_m, top_m = (np.array([height]) for height in self.glass)
         pane, normal = self.to_map(np.array([[1.0, 0.0], [2.0, 0.0]])), self.walls.normal[2:3]
-        return Windows(pane[None], normal, bottom_m, top_m, np.array([np.nan]))
+        return Windows(pane[None], normal, bottom_m, top_m, np.array([np.nan]), unknown_support(1))
 
     def scans(self, count: int = 6, rays: int = 6000, seed: int = 0) -> Features:
         """Scans from places along each room that was driven through."""
@@ -154,6 +155,7 @@ class TwoRooms:
             np.full(count, 5, np.int32),
             np.full(count, 0.01),
             np.full(count, 900),
+            unknown_support(count),
         )
 
     @property

@@ -15,6 +15,7 @@ from ffmap.algorithms.building.model import (
     Walls,
     cells_in,
     stretches,
+    unknown_support,
 )
 from ffmap.algorithms.scan.summary import Features
 from ffmap.algorithms.scan.wall_planes import fit_upright_plane
@@ -66,6 +67,7 @@ def _faces_of(features: Features, members: IntArray, settings: BuildingSettings)
             scan_count=np.array([len(np.unique(features.plane_scan[inside]))], np.int32),
             rms_m=np.array([rms]),
             sample_count=np.array([features.plane_moments[inside, 0].sum()], np.int64),
+            support=unknown_support(1),
         )
 
 

@@ -123,11 +123,14 @@ class _Level(Protocol):
 class Relabelled:
     """The final label of each return (n,), what it is from (see `Kind`), and the odds (n,) float32
     of the label against the second best, at most `ODDS_MAX`; NaN for level surfaces of all scans.
+
+    wall: (n,) the number of the wall whose panel it is from; -1 for others.
     """
 
     label: UInt8Array
     kind: UInt8Array
     odds: FloatArray
+    wall: IntArray
 
 
 ODDS_MAX = 6e4
@@ -231,7 +234,7 @@ class Relabelling:
         origin = np.ascontiguousarray(origin_map, np.float64)
         returns = points_map, height_m, below_ceiling_m, label_scan
         own_m = _own_offsets(*returns, self.panels, self.near, self.walls)
-        label, kind, odds = _likeliest(
+        label, kind, odds, wall = _likeliest(
             *returns,
             _outside(points_map, origin, self.panes, self.rules),
             origin,
@@ -245,9 +248,9 @@ class Relabelling:
         for level in self.levels:
             corrected = level.label_of(points_map, label)
             of_level = corrected != label
-            kind[of_level], odds[of_level] = Kind.LEVEL, np.nan
+            kind[of_level], odds[of_level], wall[of_level] = Kind.LEVEL, np.nan, -1
             label = corrected
-        return Relabelled(label, kind, odds)
+        return Relabelled(label, kind, odds, wall)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -352,12 +355,13 @@ def _likeliest(
     clear_m: FloatArray,
     covered: BoolArray,
     rules: _Rules,
-) -> tuple[UInt8Array, UInt8Array, FloatArray]:  # pragma: no cover
-    """The likeliest label (n,) of each return, what it is from, and its odds."""
+) -> tuple[UInt8Array, UInt8Array, FloatArray, IntArray]:  # pragma: no cover
+    """The likeliest label (n,) of each return, what it is from, its odds, and its wall."""
     label, kind = np.zeros(len(points), np.uint8), np.zeros(len(points), np.uint8)
-    odds = np.zeros(len(points), np.float32)
+    odds, wall_of = np.zeros(len(points), np.float32), np.full(len(points), -1, np.int32)
     found = np.zeros((_CANDIDATES_MAX, 7))
     of_label, of_kind = np.zeros(_CANDIDATES_MAX, np.uint8), np.zeros(_CANDIDATES_MAX, np.uint8)
+    of_wall = np.full(_CANDIDATES_MAX, -1, np.int32)
     sensor_before = np.zeros(len(panels))
     for k in range(len(panels)):
         sensor_before[k] = before_line(panels, k, origin[0], origin[1])
@@ -376,7 +380,7 @@ def _likeliest(
             sine, error_m = max(abs(dz), _SINE_MIN), rules.level_error_m
             density, precision = _density(off_m, sine, error_m, rules)
             of_label[count] = Label.FLOOR if level == 0 else Label.CEILING
-            of_kind[count] = Kind.FLOOR if level == 0 else Kind.CEILING
+            of_kind[count], of_wall[count] = Kind.FLOOR if level == 0 else Kind.CEILING, -1
             one = (density, -off_m * precision, -off_m / sine, error_m / sine, _LEVEL_PRESENCE)
             found[count, :_SINE] = one
             found[count, _SINE], found[count, _CEILING] = 1.0, np.nan
@@ -424,7 +428,7 @@ def _likeliest(
             missed = (wide_m**2 + tall_m**2) / rules.edge_error_m**2
             if missed > 25.0:
                 continue
-            of_label[count], of_kind[count] = int(panels[k, LABEL]), this
+            of_label[count], of_kind[count], of_wall[count] = int(panels[k, LABEL]), this, wall
             if is_covered:
                 of_label[count], of_kind[count] = Label.CLUTTER, Kind.RELIEF
             met = np.exp(-0.5 * missed) if missed > 0.0 else 1.0
@@ -458,8 +462,9 @@ def _likeliest(
             if found[best, _SCORE] > first:
                 second = first if of_label[best] != label[i] else 0.0
                 first, label[i], kind[i] = found[best, _SCORE], of_label[best], of_kind[best]
+                wall_of[i] = of_wall[best]
         for a in range(count):
             if of_label[a] != label[i]:
                 second = max(second, found[a, _SCORE])
         odds[i] = min(first / max(second, 1e-30), ODDS_MAX)
-    return label, kind, odds
+    return label, kind, odds, wall_of

@@ -5,6 +5,7 @@ alone is as wide and as high as doors are, reaches the floor, differs alike all 
 face of its wall, which goes on alike at both sides and above.
 """
 
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
@@ -20,6 +21,7 @@ from ffmap.algorithms.building.model import (
     Doors,
     cells_in,
     one_door,
+    unknown_support,
 )
 from ffmap.algorithms.building.settle import ParsedFaces
 from ffmap.algorithms.scan.doors import DoorState
@@ -49,8 +51,8 @@ def find_flush_doors(parsed: ParsedFaces, settings: BuildingSettings) -> Doors:
     for w in range(len(parsed.faces)):
         own = evidence.of(w)
         found += [
-            (strength, _door(parsed, w, own, jambs, head, settings))
-            for strength, jambs, head in _leaves(shade[evidence.columns(w)], own, settings)
+            (contrast, _door(parsed, w, own, jambs, head, contrast, settings))
+            for contrast, jambs, head in _leaves(shade[evidence.columns(w)], own, settings)
         ]
     found.sort(key=lambda seen: -seen[0])
     return reduce(Doors.append, (door for _, door in found), NO_DOORS)
@@ -168,6 +170,7 @@ def _door(
     evidence: Evidence,
     jambs: tuple[int, int],
     head: int,
+    contrast: float,
     settings: BuildingSettings,
 ) -> Doors:
     face, first, last = segment(parsed.faces.walls, w), *jambs
@@ -183,4 +186,5 @@ def _door(
         coverage=(rays >= settings.rays_min).mean(),
         ray_count=int(rays.sum()),
         wall=w,
+        support=replace(unknown_support(1), contrast=np.array([contrast])),
     )

@@ -111,12 +111,14 @@ class Building:
     """All that is made of all scans together.
 
     model: what scans are labelled by. aligned: the faces before any was judged. parsed: the walls
-    but for low ones, with what rays found of them.
+    but for low ones, with what rays found of them. refused: the same of refused faces, but for
+    those that were not parsed.
     thickness_m: (W,) of the walls.
     """
 
     model: BuildingModel
     parsed: ParsedFaces
+    refused: ParsedFaces
     aligned: AlignedFaces
     thickness_m: FloatArray
 
@@ -196,7 +198,8 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
         low_walls=low,
         passages=placed.select(passed),
     )
-    return Building(model, parsed, candidates.aligned, thickness_m)
+    of_refused = clear.faces.part(refused.support.runs)
+    return Building(model, parsed, of_refused, candidates.aligned, thickness_m)
 
 
 def _find_candidates(scans: AllScans, settings: FusionSettings) -> _Candidates:

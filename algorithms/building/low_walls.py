@@ -94,7 +94,7 @@ def _sides(parsed: ParsedFaces, w: int, settings: LowWallsSettings) -> list[_Sid
         odds = sum(own.odds for own in run)
         long = (after - first) * CELL_M >= settings.length_min_m
         if shown and long and odds >= settings.odds_min and top_m >= settings.height_min_m:
-            face = replace(faces.cut([(w, first, after)]), top_m=np.array([top_m]))
+            face = replace(parsed.cut([(w, first, after)]), top_m=np.array([top_m]))
             returns = np.array([on.sum()], np.int64)
             face = replace(face, sample_count=returns, rms_m=np.array([np.nan]))
             sides.append(_Side(face, median_known(faces.clear_m[columns])))

@@ -73,14 +73,63 @@ class Rows:
         """Some of them, by index, by flag or in a row."""
         return replace(self, **{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
+    __getitem__ = select
+
     def one(self, k: int | np.intp) -> Self:
         """The k-th alone."""
         return self.select(np.array([k]))
 
     def append(self, more: Self) -> Self:
         """These and more."""
-        rows = {f.name: np.concatenate([getattr(self, f.name), getattr(more, f.name)]) for f in fields(self)}
+        pairs = {f.name: (getattr(self, f.name), getattr(more, f.name)) for f in fields(self)}
+        rows = {
+            name: own.append(other) if isinstance(own, Rows) else np.concatenate([own, other])
+            for name, (own, other) in pairs.items()
+        }
         return replace(self, **rows)
+
+
+@dataclass(frozen=True)
+class Support(Rows):
+    """Evidence for parts of parsed faces. NaN, -1 or 0 where it is unknown.
+
+    kind, second: (n,) what it is, and the next best kind, see `parse.Kind`.
+    odds: (n,) log odds (nats) between them; of a wall, the sum over it and its windows.
+    face, first, after: (n,) of walls and refused faces: the number of the parsed face, the first
+        column and the one after the last.
+    on, behind: (n,) rays that ended on the face or in its recess, and farther behind.
+    seen: (n,) share of its cells that rays crossed.
+    sheet_m, sheet_share, sheet_patches: (n,) depth of the sheet in an opening, share of its rays
+        that ended there, and share of its 20 cm patches that returned any.
+    contrast: (n,) step of intensity between a flush leaf and its wall, as a share of the wall's.
+    """
+
+    kind: IntArray
+    second: IntArray
+    odds: FloatArray
+    face: IntArray
+    first: IntArray
+    after: IntArray
+    on: FloatArray
+    behind: FloatArray
+    seen: FloatArray
+    sheet_m: FloatArray
+    sheet_share: FloatArray
+    sheet_patches: FloatArray
+    contrast: FloatArray
+
+    @property
+    def runs(self) -> list[tuple[int, int, int]]:
+        """Faces and columns of those that are known."""
+        rows = np.column_stack([self.face, self.first, self.after])[self.face >= 0]
+        return [(w, first, after) for w, first, after in rows.tolist()]
+
+
+def unknown_support(count: int) -> Support:
+    """Return the support of parts of faces that were not parsed."""
+    unknown, none, no_rays = np.full(count, np.nan), np.full(count, -1), np.zeros(count)
+    rays = no_rays, no_rays, unknown
+    return Support(none, none, unknown, none, none, none, *rays, *(unknown,) * 4)
 
 
 @dataclass(frozen=True)
@@ -93,6 +142,7 @@ class Walls(Rows):
     scan_count: (W,) scans that saw a plane of it; 0 for one that only the returns of all scans together show.
     rms_m: (W,) spread about it of the planes' samples, or of the returns.
     sample_count: (W,) how many of these it rests on.
+    support: (W,) of its parse.
     """
 
     ends: FloatArray
@@ -102,6 +152,7 @@ class Walls(Rows):
     scan_count: IntArray
     rms_m: FloatArray
     sample_count: IntArray
+    support: Support
 
 
 NO_WALLS = Walls(
@@ -112,6 +163,7 @@ NO_WALLS = Walls(
     scan_count=np.zeros(0, np.int32),
     rms_m=np.zeros(0),
     sample_count=np.zeros(0, np.int64),
+    support=unknown_support(0),
 )
 
 
@@ -122,6 +174,7 @@ class Windows(Rows):
     ends: (N, 2, 2) x and y, on the wall's face. normal: (N, 2) towards the room.
     bottom_m, top_m: (N,) heights between which most rays pass.
     pane_m: (N,) how far the pane stands behind the face; NaN where it returned nothing, or hangs before it.
+    support: (N,) of its parse.
     """
 
     ends: FloatArray
@@ -129,9 +182,17 @@ class Windows(Rows):
     bottom_m: FloatArray
     top_m: FloatArray
     pane_m: FloatArray
+    support: Support
 
 
-NO_WINDOWS = Windows(np.zeros((0, 2, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
+NO_WINDOWS = Windows(
+    np.zeros((0, 2, 2)),
+    np.zeros((0, 2)),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+    unknown_support(0),
+)
 
 
 @dataclass(frozen=True)
@@ -169,6 +230,7 @@ class Doors(Rows):
     wall: (D,) the wall face in which it was seen best.
     reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face; NaN where unknown.
     glazed: (D,) whether its leaf is a pane.
+    support: (D,) of its parse.
     """
 
     ends: FloatArray
@@ -188,6 +250,7 @@ class Doors(Rows):
     wall: IntArray
     reveal_m: FloatArray
     glazed: BoolArray
+    support: Support
 
     @property
     def confidence(self) -> FloatArray:
@@ -213,6 +276,7 @@ NO_DOORS = Doors(
     wall=np.zeros(0, np.int32),
     reveal_m=np.zeros(0),
     glazed=np.zeros(0, bool),
+    support=unknown_support(0),
 )
 
 _NOT_TOLD = {
@@ -228,9 +292,13 @@ _NOT_TOLD = {
 }
 
 
-def one_door(**told: ArrayLike) -> Doors:
+def one_door(support: Support | None = None, **told: ArrayLike) -> Doors:
     """A single door by what is told of it, named as in `Doors`; what may be unknown there can be left out."""
-    return Doors(**{name: np.array([value], getattr(NO_DOORS, name).dtype) for name, value in (_NOT_TOLD | told).items()})
+    rows = {
+        name: np.array([value], getattr(NO_DOORS, name).dtype)
+        for name, value in (_NOT_TOLD | told).items()
+    }
+    return Doors(**rows, support=support or unknown_support(1))
 
 
 def cells_in(distance_m: float) -> int:

@@ -8,7 +8,17 @@ import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray
 from ffmap.algorithms.base.segments import moved
-from ffmap.algorithms.building.evidence import BEYOND, FAR, FOOT_ROW, LAYERS_M, ON, RECESS, Evidence
+from ffmap.algorithms.building.evidence import (
+    BEYOND,
+    DEEP,
+    FAR,
+    FOOT_ROW,
+    LAYERS_M,
+    NEAR,
+    ON,
+    RECESS,
+    Evidence,
+)
 from ffmap.algorithms.building.model import (
     CELL_M,
     NO_DOORS,
@@ -16,10 +26,12 @@ from ffmap.algorithms.building.model import (
     Blinds,
     BuildingSettings,
     Doors,
+    Support,
     Walls,
     Windows,
     cells_in,
     one_door,
+    unknown_support,
 )
 from ffmap.algorithms.building.parse import (
     DOORS,
@@ -91,6 +103,31 @@ class ParsedFaces:
                 if s.kind in OPENINGS:
                     own[s.columns, s.sill : s.head] = True
         return within
+
+    def cut(self, runs: list[Run]) -> Walls:
+        """Runs of columns as faces of their own, with their support."""
+        support = [self._support(*run) for run in runs]
+        known = reduce(Support.append, support, unknown_support(0))
+        return replace(self.faces.cut(runs), support=known)
+
+    def _support(self, w: int, first: int, after: int) -> Support:
+        """Of a single stretch, or of a wall with openings: then of what is wall."""
+        within = [s for s in self.stretches[w] if first <= s.first < after]
+        own = [s for s in within if s.kind == Kind.WALL] or within
+        longest = max(own, key=lambda s: s.width_m)
+        is_wall = longest.kind == Kind.WALL
+        odds = wall_odds(within, first, after) if is_wall else sum(s.odds for s in own)
+        columns, rows = self.faces.columns(w), np.arange(self.faces.evidence.rows)
+        top = self.faces.top_m[columns, None] / CELL_M
+        asked = np.zeros((len(top), len(rows)), bool)
+        for s in own:
+            low, high = (s.sill, s.head) if s.kind in OPENINGS else (FOOT_ROW, len(rows))
+            asked[s.columns] = (rows >= low) & (rows < np.minimum(high, top[s.columns]))
+        ended = self.faces.evidence.ended[columns][asked].astype(np.float64)
+        rays = ended[:, ON : NEAR + 1].sum(), ended[:, DEEP:].sum()
+        seen = (ended > 0.0).any(axis=1).sum() / max(len(ended), 1)
+        known = longest.kind, longest.second, odds, w, first, after, *rays, seen
+        return Support(*(np.array([value]) for value in known), *np.full((4, 1), np.nan))
 
     def part(self, runs: list[Run]) -> "ParsedFaces":
         """Runs of stretches of some faces as faces of their own."""
@@ -170,7 +207,7 @@ def judge(
             elif own.kind == Kind.HANGING:
                 refused.append((w, own.first, own.after, FaceVerdict.HANGS))
     verdicts = np.array([verdict for *_, verdict in refused], np.uint8)
-    return JudgedFaces(faces.cut(kept), faces.cut([r[:3] for r in refused]), verdicts), kept
+    return JudgedFaces(parsed.cut(kept), parsed.cut([r[:3] for r in refused]), verdicts), kept
 
 
 def standing(stretches: list[Stretch], gap: int) -> Iterator[tuple[int, int]]:
@@ -325,7 +362,7 @@ def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
         for own in stretches
         if own.kind in OPENINGS
     ]
-    faces = parsed.faces.cut([(w, own.first, own.after) for w, own in found])
+    faces = parsed.cut([(w, own.first, own.after) for w, own in found])
     evidence = trace_within(faces)
     openings = []
     for k, (w, own) in enumerate(found):
@@ -333,9 +370,23 @@ def find_openings(parsed: ParsedFaces, trace_within: Callable[[Walls], Evidence]
         met = ended[:, own.sill : own.head, ON:].sum(axis=(1, 2))
         within, inner = evidence.of(k), _within(own)
         sheet = find_sheet(within.ended[inner], within.depth_sum[inner])
-        opening = Opening(w, own, faces.one(k), within, met, sheet, _blind(own, within))
+        face = replace(faces.one(k), support=_with_sheet(faces.support.one(k), sheet))
+        opening = Opening(w, own, face, within, met, sheet, _blind(own, within))
         openings.append(opening)
     return openings
+
+
+def _with_sheet(support: Support, sheet: Sheet | None) -> Support:
+    """Add what closes a single opening, whose face is numbered by `Opening.wall`."""
+    unknown = replace(support, face=np.array([-1]))
+    if sheet is None:
+        return unknown
+    return replace(
+        unknown,
+        sheet_m=np.array([sheet.behind_m]),
+        sheet_share=np.array([sheet.share]),
+        sheet_patches=np.array([sheet.patches]),
+    )
 
 
 def _blind(own: Stretch, within: Evidence) -> int:
@@ -407,6 +458,7 @@ def _door(opening: Opening, settings: BuildingSettings) -> Doors:
         ajar=ajar,
         ray_count=int(rays.sum()),
         wall=opening.wall,
+        support=opening.face.support,
     )
 
 
@@ -437,6 +489,7 @@ def _windows(openings: Sequence[Opening]) -> Windows:
         bottom_m=np.array([own.stretch.sill * CELL_M for own in openings]),
         top_m=np.array([own.blind * CELL_M for own in openings]),
         pane_m=np.array([own.pane_m for own in openings]),
+        support=faces.support,
     )
 
 

@@ -18,10 +18,16 @@ from ffmap.algorithms.base.segments import segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.votes import VoxelVotes
 from ffmap.algorithms.building.evidence import NEAR, ON
-from ffmap.algorithms.building.model import CELL_M, NO_WALLS, BuildingSettings, Walls, cells_in
+from ffmap.algorithms.building.model import (
+    CELL_M,
+    NO_WALLS,
+    BuildingSettings,
+    Walls,
+    cells_in,
+    unknown_support,
+)
 from ffmap.algorithms.building.parse import OF_WALLS, OPENINGS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, Run, has_jambs, standing, wall_odds
-from ffmap.algorithms.building.storey import TracedFaces
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY
 
 Line = tuple[FloatArray, FloatArray]
@@ -98,7 +104,7 @@ def walls_of(
             is_free = seen[first:after].mean() > 0.5
             is_free &= open_columns <= _OPEN_SHARE_MAX * (after - first)
             if shows and is_free and has_jambs(stretches, first, after, ended, building.knee_m):
-                walls = walls.append(_as_seen(faces, (w, first, after)))
+                walls = walls.append(_as_seen(parsed, (w, first, after)))
                 runs.append((w, first, after))
     return walls, runs
 
@@ -111,9 +117,9 @@ def _taken(lines: Walls, walls: Walls, settings: UnseenWallsSettings) -> BoolArr
     return faced | beside
 
 
-def _as_seen(faces: TracedFaces, part: Run) -> Walls:
+def _as_seen(parsed: ParsedFaces, part: Run) -> Walls:
     """A stretch of a line as a single face, as high as rays ended on it."""
-    w, first, after = part
+    faces, (w, first, after) = parsed.faces, part
     columns = slice(faces.columns(w).start + first, faces.columns(w).start + after)
     on = faces.evidence.ended[columns, :, ON].sum(axis=0, dtype=np.float64)
     near = float(faces.evidence.ended[columns, :, : NEAR + 1].sum())
@@ -121,7 +127,7 @@ def _as_seen(faces: TracedFaces, part: Run) -> Walls:
     seen = np.flatnonzero(on >= min(_ROW_RETURNS_MIN, on.max()))
     top_m = min((seen[-1] + 1) * CELL_M, float(faces.top_m[columns].max()))
     return replace(
-        faces.cut([part]),
+        parsed.cut([part]),
         bottom_m=np.array([seen[0] * CELL_M]),
         top_m=np.array([top_m]),
         rms_m=np.array([rms_m]),
@@ -148,6 +154,7 @@ def unseen_faces(ends: FloatArray, normal: FloatArray, top_m: FloatArray) -> Wal
         scan_count=np.zeros(count, np.int32),
         rms_m=np.full(count, np.nan),
         sample_count=np.zeros(count, np.int64),
+        support=unknown_support(count),
     )
 
 

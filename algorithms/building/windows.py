@@ -49,6 +49,7 @@ def join_windows(windows: Windows) -> Windows:
                 one.bottom_m.min(keepdims=True),
                 one.top_m.max(keepdims=True),
                 np.fmax(one.pane_m[:1], one.pane_m[1:]),
+                one.support.one(np.nan_to_num(one.support.odds).argmax()),
             )
             joined = joined.select(np.arange(len(joined)) != k)
             break

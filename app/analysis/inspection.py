@@ -108,12 +108,11 @@ def label_again(run: FinishedRun, number: int, bag: BagPath | None = None) -> In
         if recorded is not None:
             changes = _change_rows(recorded, None if wrong is None else wrong[changed])
             why_changed = [""] * len(final)
-            reasons, odds = (
-                recorded[name].tolist() for name in (entities.POINT_REASON, entities.POINT_ODDS)
-            )
-            of_changed = zip(np.flatnonzero(changed).tolist(), reasons, odds, strict=True)
-            for i, reason, own_odds in of_changed:
-                why_changed[i] = f"{KIND_WORDS[reason]}, odds {_odds_text(own_odds)}"
+            names = entities.POINT_REASON, entities.POINT_ODDS, entities.POINT_WALL
+            of_changed = (recorded[name].tolist() for name in names)
+            for i, reason, own_odds, wall in zip(np.flatnonzero(changed), *of_changed, strict=True):
+                panel = f" (wall {wall})" if wall >= 0 else ""
+                why_changed[i] = f"{KIND_WORDS[reason]}{panel}, odds {_odds_text(own_odds)}"
     several = len(inputs.verticals) > 1
     which = f"Scan {number} is cloud {cloud} of {lidar.topic}." if several else None
     return InspectedScan(

@@ -1,4 +1,4 @@
-"""ffmap inspect: one scan of a finished run, labelled again with all evidence, line by line."""
+"""ffmap inspect: evidence for the building of a finished run, or for the labels of one scan."""
 
 import re
 import uuid
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import typer
 from rich.console import Console
+from rich.markdown import Markdown
 
 from ffmap.app.analysis.inspection import (
     CHANGE_HEADINGS,
@@ -28,17 +29,30 @@ from ffmap.app.record.line_reasons import (
     name_of,
     scan_document,
 )
+from ffmap.app.record.read_back import text_of
 from ffmap.app.record.return_reasons import SURFACE_HEADINGS, ReturnReasons
 from ffmap.app.record.stream import start_viewer
 from ffmap.app.record.tables import table
 from ffmap.app.tables import make_table
-from ffmap.blueprints.entities import LINE_OUTCOMES
+from ffmap.blueprints.entities import LINE_OUTCOMES, REASONS
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
 
 WORST = "worst"
 _MARKDOWN = re.compile(r"\*+|`")
 _WIDTH = 140
+
+
+def print_building(run_path: Path) -> None:
+    """Print the evidence for walls, doors, windows and refused faces.
+
+    Raises InputError if the run has no recording of its building.
+    """
+    run = open_run(run_path)
+    text = None if run.recording is None else text_of(run.recording, REASONS)
+    if text is None:
+        raise InputError(f"{run.path}: has no recording of its building. Run ffmap run again")
+    _console().print(Markdown(text))
 
 
 def inspect(
@@ -174,7 +188,11 @@ def _print(
     left: Collection[int],
     whole: Collection[int] = (),
 ) -> None:
+    _console().print(make_table(title, headings, rows, left=left, whole=whole))
+
+
+def _console() -> Console:
     console = Console(highlight=False)
     if not console.is_terminal:  # of no width that anyone sees
         console.width = max(console.width, _WIDTH)
-    console.print(make_table(title, headings, rows, left=left, whole=whole))
+    return console

@@ -1,6 +1,6 @@
 """The building: wall faces, doors, windows, level surfaces, grid maps, and the fused cloud."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -15,13 +15,18 @@ from ffmap.algorithms.building.face_foreground import covered_places
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.heights import HeightMap
 from ffmap.algorithms.building.model import CELL_M, Doors
-from ffmap.algorithms.building.parse import Kind
 from ffmap.algorithms.building.settle import ParsedFaces
 from ffmap.algorithms.building.verdicts import JudgedFaces
 from ffmap.algorithms.maps.grid import Cell, GridMap
 from ffmap.algorithms.scan.doors import DoorState
-from ffmap.app.record.building_reasons import REFUSALS, building_document
-from ffmap.app.record.log import Log, evidence
+from ffmap.app.record.building_reasons import (
+    REFUSALS,
+    building_document,
+    reasons,
+    short_reasons,
+    words,
+)
+from ffmap.app.record.log import Evidence, Log, evidence
 from ffmap.app.record.shapes import (
     at_height,
     panel_mesh,
@@ -39,7 +44,9 @@ from ffmap.blueprints.entities import (
     GRID,
     LAYER_COLORS,
     MAP_POINTS,
+    REASONS,
     WALL_COLOR,
+    WALLS,
     Color,
 )
 
@@ -47,6 +54,9 @@ _MAP_RADIUS = ui_radius(1.25)
 _FUSED_COLOR: Color = (190, 190, 190)
 _UNSEEN_COLOR: Color = (40, 40, 40)
 _REFUSED_COLOR: Color = (255, 140, 60)
+_ODDS = "kind", "second", "odds", "on", "behind", "seen"
+_SHEET = "sheet_m", "sheet_share", "sheet_patches"
+"""Fields of `Support`."""
 _OUTSIDE_COLOR, _CLUTTER_COLOR = CLASSES[Label.OUTSIDE][1], CLASSES[Label.CLUTTER][1]
 
 
@@ -80,16 +90,22 @@ def log_building(log: Log, building: BuildingModel) -> None:
     _log_doors(log, building.doors)
     _log_windows(log, building)
     _log_levels(log, building.levels)
-    log.text("/world/building/reasons", building_document(building))
+    log.text(REASONS, building_document(building))
 
 
 def _log_walls(log: Log, building: BuildingModel) -> None:
     walls, foreground = building.walls, building.foreground
     panels = wall_panels(walls, building.ways, building.windows, building.blinds)
-    if len(walls):
-        mesh = panel_mesh(panels.ends, panels.bottom_m, panels.top_m, WALL_COLOR)
-        of_walls = evidence(walls, "scan_count", "rms_m", wall_of_panel=panels.wall)
-        log.static("/world/building/walls", mesh, of_walls)
+    outlines = upright_frames(walls.ends, walls.bottom_m, walls.top_m)
+    for w, why in enumerate(reasons(walls.support)):
+        of, wall = panels.wall == w, walls.one(w)
+        log.static(
+            f"{WALLS}/{w:03d}",
+            panel_mesh(panels.ends[of], panels.bottom_m[of], panels.top_m[of], WALL_COLOR),
+            strips(outlines[w : w + 1], WALL_COLOR, 1.0, [f"wall {w}: {why}"], show_labels=False),
+            evidence(wall, "scan_count", "rms_m"),
+            evidence(wall.support, *_ODDS),
+        )
     if foreground.covered.any():
         points = rr.Points3D(
             covered_places(walls, foreground).astype(np.float32),
@@ -101,41 +117,18 @@ def _log_walls(log: Log, building: BuildingModel) -> None:
         log.static("/world/building/against_walls", points)
 
 
-def log_stretches(log: Log, parsed: ParsedFaces) -> None:
-    """Log what each stretch of a wall face is, and by what odds."""
-    rows = [(w, own) for w, stretches in enumerate(parsed.stretches) for own in stretches]
-    if not rows:
-        return
-    faces = parsed.faces
-    ends = faces.cut([(w, own.first, own.after) for w, own in rows]).ends
-    top_m = [float(faces.top_m[faces.columns(w)][own.columns].min()) for w, own in rows]
-    bottom_m, head_m = CELL_M * np.array([(own.sill, own.head) for _, own in rows]).T
-    frames = upright_frames(ends, bottom_m, np.where(head_m > 0.0, head_m, top_m))
-    labels = [
-        f"{_words(own.kind)}, {own.width_m:.2f} m: odds {own.odds:.0f} nats against "
-        f"{_words(own.second)}"
-        for _, own in rows
-    ]
-    log.static(
-        "/world/building/stretches",
-        strips(frames, _FUSED_COLOR, 1.0, labels, show_labels=False),
-        evidence(
-            wall=np.array([w for w, _ in rows]),
-            kind=np.array([own.kind for _, own in rows]),
-            second=np.array([own.second for _, own in rows]),
-            odds=np.array([own.odds for _, own in rows]),
-        ),
-    )
+def log_faces(log: Log, parsed: ParsedFaces, refused: ParsedFaces, judged: JudgedFaces) -> None:
+    """Log a picture of each wall and refused face: its cells, its stretches, and their odds."""
+    _log_faces(log, FACES, parsed, range(len(parsed.faces)))
+    _log_faces(log, f"{FACES}/refused", refused, np.flatnonzero(judged.refused.support.face >= 0))
 
 
-def log_faces(log: Log, parsed: ParsedFaces) -> None:
-    """Log a picture of each wall face: the layer of depth that most rays into each cell ended in.
-
-    Each is the texture of its face in the 3-D view, and an entity of its own.
-    """
-    for w, face in enumerate(parsed.faces.walls.ends):
-        ended = parsed.faces.evidence.ended[parsed.faces.columns(w)]
-        rows = max(int(np.ceil(parsed.faces.walls.top_m[w] / CELL_M)), 1)
+def _log_faces(log: Log, path: str, parsed: ParsedFaces, numbers: Iterable[int]) -> None:
+    """Log the layer of depth that most rays into each cell ended in as the texture of its face."""
+    for w, (number, face) in enumerate(zip(numbers, parsed.faces.walls.ends, strict=True)):
+        columns = parsed.faces.columns(w)
+        ended = parsed.faces.evidence.ended[columns]
+        rows = max(int(np.ceil(parsed.faces.top_m[columns].max() / CELL_M)), 1)
         cells = ended[:, :rows]
         layer = np.where(cells.any(axis=-1), cells.argmax(axis=-1), BEYOND + 1)
         picture = np.array([*LAYER_COLORS, _UNSEEN_COLOR], np.uint8)[layer.T[::-1]]
@@ -149,22 +142,41 @@ def log_faces(log: Log, parsed: ParsedFaces) -> None:
             vertex_texcoords=np.array([[0, 1], [share, 1], [share, 0], [0, 0]], np.float32),
             albedo_texture=picture,
         )
-        log.static(f"{FACES}/{w:03d}", drawn, evidence(ended=cells.reshape(-1, cells.shape[-1])))
+        of_cells = evidence(ended=cells.reshape(-1, cells.shape[-1]))
+        log.static(f"{path}/{number:03d}", drawn, *_stretches(parsed, w), of_cells)
 
 
-def _words(kind: Kind) -> str:
-    return kind.name.lower().replace("_", " ")
+def _stretches(parsed: ParsedFaces, w: int) -> tuple[rr.AsComponents | Evidence, ...]:
+    """Return the outlines of the stretches of a face, labelled by their odds."""
+    faces, stretches = parsed.faces, parsed.stretches[w]
+    ends = faces.cut([(w, own.first, own.after) for own in stretches]).ends
+    top_m = [float(faces.top_m[faces.columns(w)][own.columns].min()) for own in stretches]
+    bottom_m, head_m = CELL_M * np.array([(own.sill, own.head) for own in stretches]).T
+    frames = upright_frames(ends, bottom_m, np.where(head_m > 0.0, head_m, top_m))
+    labels = [
+        f"{words(own.kind)}, {own.width_m:.2f} m: odds {own.odds:.0f} nats against "
+        f"{words(own.second)}"
+        for own in stretches
+    ]
+    rows = np.array([(own.kind, own.second, own.odds) for own in stretches])
+    kind, second = rows[:, :2].T.astype(np.uint8)
+    drawn = strips(frames, _FUSED_COLOR, 1.0, labels, show_labels=False)
+    return drawn, evidence(kind=kind, second=second, odds=rows[:, 2])
 
 
 def _log_refused(log: Log, judged: JudgedFaces) -> None:
     faces = judged.refused
     if len(faces):
         frames = upright_frames(faces.ends, faces.bottom_m, faces.top_m)
-        labels = [f"no wall: {REFUSALS[verdict]}" for verdict in judged.verdict]
+        why = zip(judged.verdict, reasons(faces.support), strict=True)
+        labels = [
+            f"no wall {k}: {REFUSALS[verdict]}; {odds}" for k, (verdict, odds) in enumerate(why)
+        ]
         log.static(
             "/world/building/refused_walls",
             strips(frames, _REFUSED_COLOR, 1.5, labels, show_labels=False),
             evidence(verdict=judged.verdict, scan_count=faces.scan_count),
+            evidence(faces.support, *_ODDS),
         )
 
 
@@ -174,9 +186,9 @@ def _log_doors(log: Log, doors: Doors) -> None:
     sills = strips(at_height(doors.ends, 0.0), DOOR_COLOR, 3.0)
     log.static("/world/building/sills", sills)
     labels = [
-        f"{DoorState(state).name.lower()} door, {width:.2f} m, {confidence:.0%}"
-        for state, width, confidence in zip(
-            doors.state, lengths_m(doors.ends), doors.confidence, strict=True
+        f"door {d}: {DoorState(state).name.lower()}, {width:.2f} m; {odds}"
+        for d, (state, width, odds) in enumerate(
+            zip(doors.state, lengths_m(doors.ends), short_reasons(doors.support), strict=True)
         )
     ]
     frames = upright_frames(doors.ends, np.zeros(len(doors)), doors.head_m)
@@ -186,7 +198,8 @@ def _log_doors(log: Log, doors: Doors) -> None:
         *("ajar", "crossed", "ray_count", "glazed"),
     )
     drawn = strips(frames, DOOR_COLOR, 3.0, labels, show_labels=False)
-    log.static("/world/building/doors", drawn, of_doors)
+    odds = evidence(doors.support, *_ODDS, *_SHEET, "contrast")
+    log.static("/world/building/doors", drawn, of_doors, odds)
     # An open door is drawn as its frame, a closed one with its leaf.
     closed = doors.select(doors.state == DoorState.CLOSED)
     if len(closed):
@@ -200,9 +213,12 @@ def _log_windows(log: Log, building: BuildingModel) -> None:
     glass = windows.append(leaf_panes)
     if len(glass):
         frames = upright_frames(glass.ends, glass.bottom_m, glass.top_m)
-        labels = ["window"] * len(windows) + ["pane of an open leaf"] * len(leaf_panes)
+        names = [f"window {w}" for w in range(len(windows))]
+        names += [f"pane of an open leaf {w}" for w in range(len(leaf_panes))]
+        why = zip(names, reasons(glass.support), strict=True)
+        labels = [f"{name}: {odds}" for name, odds in why]
         panes = strips(frames, _OUTSIDE_COLOR, 1.5, labels, show_labels=False)
-        log.static("/world/building/windows", panes)
+        log.static("/world/building/windows", panes, evidence(glass.support, *_ODDS, *_SHEET))
     if len(blinds):
         ends = moved(blinds.ends, blinds.normal, -blinds.behind_m)
         hung = panel_mesh(ends, blinds.bottom_m, blinds.top_m, _CLUTTER_COLOR)

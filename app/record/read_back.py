@@ -38,6 +38,16 @@ def chunk_stream(path: Path) -> LazyChunkStream:
             ) from error
 
 
+def text_of(path: Path, entity: str) -> str | None:
+    """Return the static text of an entity; None without one.
+
+    Raises InputError if it is not a complete recording.
+    """
+    for chunk in chunk_stream(path).filter(content=entity):
+        return str(chunk.to_record_batch().column("TextDocument:text")[0].as_py()[0])
+    return None
+
+
 def rows(path: Path, entity: str | Sequence[str], required: str | None = None) -> Iterator[Row]:
     """Yield the rows of entities on the timeline `scan`, in the order of the file.
 

@@ -200,6 +200,7 @@ def log_final(
         entities.POINT_LABEL_SCAN: label_scan[changed],
         entities.POINT_REASON: relabelled.kind[changed],
         entities.POINT_ODDS: relabelled.odds[changed].astype(np.float16),
+        entities.POINT_WALL: relabelled.wall[changed].astype(np.int16),
     }
     positions = rounded(points_level[changed])
     log.row(

@@ -39,7 +39,6 @@ from ffmap.app.record.building import (
     log_faces,
     log_fused_walls,
     log_grid,
-    log_stretches,
 )
 from ffmap.app.record.rooms import log_areas, log_rooms
 from ffmap.app.run.arrays import map_arrays, unpack
@@ -65,8 +64,7 @@ def fuse_all_scans(
     if report.log is not None:
         log_fused_walls(report.log, building.aligned)
         log_building(report.log, building.model)
-        log_stretches(report.log, building.parsed)
-        log_faces(report.log, building.parsed)
+        log_faces(report.log, building.parsed, building.refused, building.model.judged)
     return building, evidence
 
 

@@ -19,6 +19,7 @@ from ffmap.algorithms.building.model import (
     Doors,
     Walls,
     Windows,
+    unknown_support,
 )
 from ffmap.algorithms.building.settle import (
     Opening,
@@ -210,7 +211,7 @@ def test_a_scans_own_plane_is_used_only_where_the_scan_saw_it(
     )
     ends, normal = np.array([[[0.0, 2.0], [6.0, 2.0]]]), np.array([[0.0, -1.0]])
     ones = np.ones(1, np.int32)
-    wall = Walls(ends, normal, np.zeros(1), np.full(1, 2.8), ones, np.zeros(1), 900 * ones)
+    wall = Walls(ends, normal, np.zeros(1), np.full(1, 2.8), ones, np.zeros(1), 900 * ones, unknown_support(1))
     evidence = traced_by(wall, features)
     filled = evidence.ended[..., : RECESS + 1].sum(axis=(1, 2))
     total = evidence.depth_sum[..., : RECESS + 1].sum(axis=(1, 2))

@@ -12,7 +12,7 @@ from ffmap.algorithms.building.face_alignment import (
     align_faces,
 )
 from ffmap.algorithms.building.levels import LevelsSettings
-from ffmap.algorithms.building.model import NO_WALLS, Walls
+from ffmap.algorithms.building.model import NO_WALLS, Walls, unknown_support
 from ffmap.algorithms.building.storey import Storey
 from tests.voting import vote
 
@@ -52,7 +52,8 @@ def face(turn_deg: float, start: float, stop: float, off_start_m: float, off_sto
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     one = np.ones(1)
     normal = np.array([[-along[1], along[0]]])
-    return Walls(ends[None], normal, 0 * one, 2.7 * one, np.array([3], np.int32), 0.01 * one, np.array([900]))
+    counts = np.array([3], np.int32), 0.01 * one, np.array([900])
+    return Walls(ends[None], normal, 0 * one, 2.7 * one, *counts, unknown_support(1))
 
 
 def off_m(walls: Walls, turn_deg: float) -> FloatArray:

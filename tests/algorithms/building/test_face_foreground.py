@@ -14,7 +14,7 @@ from ffmap.algorithms.building.face_foreground import (
     covered_places,
     find_foreground,
 )
-from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Doors, Walls
+from ffmap.algorithms.building.model import CELL_M, NO_DOORS, Doors, Walls, unknown_support
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import traced
 
@@ -29,6 +29,7 @@ FACE = Walls(
     np.array([9], np.int32),
     np.array([0.01]),
     np.array([900]),
+    unknown_support(1),
 )
 FLAT = (0.0, 0.0)
 

@@ -27,6 +27,7 @@ from ffmap.algorithms.building.model import (
     Walls,
     Windows,
     one_door,
+    unknown_support,
 )
 from ffmap.algorithms.building.panels import Kind
 from ffmap.algorithms.building.verdicts import FaceVerdict, JudgedFaces
@@ -44,7 +45,7 @@ def face(x0: float = 0.0, x1: float = 4.0, y: float = 0.0, top_m: float = CEILIN
     """A face towards the sensor."""
     counts = np.array([9], np.int32), np.array([0.01]), np.array([900])
     ends = np.array([[[x0, y], [x1, y]]])
-    return Walls(ends, TO_SENSOR, np.zeros(1), np.array([top_m]), *counts)
+    return Walls(ends, TO_SENSOR, np.zeros(1), np.array([top_m]), *counts, unknown_support(1))
 
 
 def door(depth_m: float) -> Doors:
@@ -69,7 +70,7 @@ OPEN = door(np.nan)
 
 def window(pane_m: float, x0: float = 1.0, x1: float = 3.0) -> Windows:
     extents = np.array([0.9]), np.array([2.0]), np.array([pane_m])
-    return Windows(np.array([[[x0, 0.0], [x1, 0.0]]]), TO_SENSOR, *extents)
+    return Windows(np.array([[[x0, 0.0], [x1, 0.0]]]), TO_SENSOR, *extents, unknown_support(1))
 
 
 def before(walls: Walls, ceiling_m: float, covered: bool) -> Foreground:
@@ -113,6 +114,8 @@ def final(
     """The final label of one return, and what it is from."""
     returns = np.array([point], np.float32), np.array([label], np.uint8)
     found = relabelled(*returns, building(**parts), sensor)
+    if found.kind[0] in (Kind.WALL, Kind.NOTHING):
+        assert (found.wall[0] >= 0) == (found.kind[0] == Kind.WALL)
     return Label(int(found.label[0])), Kind(int(found.kind[0]))
 
 

@@ -70,6 +70,7 @@ def test_a_leaf_of_another_shade_is_a_closed_door(ratio: float, mirrored: bool) 
         np.testing.assert_allclose(np.sort(doors.ends[0, :, 0]), jambs, atol=CELL_M)
         assert doors.head_m[0] == pytest.approx(LEAF[3], abs=CELL_M)
         assert doors.confidence[0] > 0.9
+        np.testing.assert_allclose(doors.support.contrast, abs(ratio - 1.0), rtol=0.1)
 
 
 def test_two_leaves_are_two_doors_and_the_wall_between_is_none() -> None:

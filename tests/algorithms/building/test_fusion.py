@@ -18,7 +18,7 @@ from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
 from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.low_walls import LowWallsSettings
-from ffmap.algorithms.building.model import BuildingSettings, Walls
+from ffmap.algorithms.building.model import BuildingSettings, Walls, unknown_support
 from ffmap.algorithms.building.parse import ParseSettings
 from ffmap.algorithms.building.thickness import WallThicknessSettings
 from ffmap.algorithms.building.unseen_walls import UnseenWallsSettings
@@ -83,6 +83,7 @@ def face(ends: list[list[float]], normal: list[float]) -> Walls:
         np.array([5], np.int32),
         0.01 * one,
         900 * one,
+        unknown_support(1),
     )
 
 

@@ -74,6 +74,11 @@ def test_what_ends_low_beside_a_wall_is_refused() -> None:
     np.testing.assert_allclose(found.walls.ends[0, :, 0], [0.0, 4.0])
     np.testing.assert_allclose(found.refused.ends[0, :, 0], [4.0, 6.0])
     assert found.verdict.tolist() == [FaceVerdict.ENDS_LOW]
+    wall_, low = found.walls.support, found.refused.support
+    assert (wall_.kind[0], low.kind[0], low.second[0]) == (Kind.WALL, Kind.LOW, Kind.WINDOW)
+    assert wall_.odds[0] > 10.0 < low.odds[0]
+    assert wall_.behind[0] == 0.0 < low.on[0] < low.behind[0]
+    assert (wall_.seen[0], low.runs) == (1.0, [(0, 80, 120)])
 
 
 def test_what_is_open_below_over_all_its_length_hangs() -> None:
@@ -175,6 +180,10 @@ def test_a_pane_in_a_doorway_is_a_glazed_door_and_a_window() -> None:
     assert len(doors_of(found, SETTINGS)) == 0
     assert glazed_doors_of(found, SETTINGS).depth_m == pytest.approx(0.2)
     assert windows_of(found).pane_m == pytest.approx(0.2)
+    known = windows_of(found).support
+    assert (known.sheet_m, known.sheet_patches) == (pytest.approx(0.2), pytest.approx(1.0))
+    assert known.sheet_share == pytest.approx(1 / 21, rel=0.01)
+    assert known.odds > 0.0
     np.testing.assert_allclose(fronts_of(found).ends[0, :, 1], -0.2, atol=1e-6)
 
 

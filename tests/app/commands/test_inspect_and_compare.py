@@ -105,6 +105,14 @@ def compare(out: Path, *paths: Path) -> dict[str, Any]:
     return report(out)
 
 
+def read_static(path: Path, entity: str, name: str) -> list[float]:
+    """A column of an entity that holds for the whole recording."""
+    for chunk in RrdReader(path).stream().filter(content=entity):
+        if name in (batch := chunk.to_record_batch()).schema.names:
+            return list(batch.column(name)[0].as_py())
+    return []
+
+
 def recorded(out: Path, entity: str) -> dict[int, dict[str, Any]]:
     return {row.scan: row.values for row in rows(out / "comparison.rrd", entity)}
 
@@ -368,6 +376,19 @@ def test_mistakes_are_one_line_and_nothing_of_a_run_is_overwritten(
 # --- inspect ---
 
 
+def test_the_building_is_printed_with_its_odds(
+    runs: dict[str, Path], environment: dict[str, str]
+) -> None:
+    done = ffmap_here(environment, "inspect", runs["usual"])
+    assert done.returncode == 0, done.stderr
+    walls = json.loads((runs["usual"] / "walls.geojson").read_text())["features"]
+    table = re.split(r"^Walls *$", done.stdout, flags=re.MULTILINE)[1].splitlines()
+    rows = [row.split() for row in table if re.match(r" *\d+ +-?\d+ ", row)]
+    assert [int(row[0]) for row in rows[: len(walls)]] == list(range(len(walls)))
+    (odds,) = read_static(runs["usual"] / "recording.rrd", f"{entities.WALLS}/000", "odds")
+    assert int(rows[0][1]) == round(odds)
+
+
 def test_a_scan_that_fails_is_named_with_its_reason(
     runs: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -554,6 +575,8 @@ def test_what_cannot_be_inspected_is_one_line(
     assert f"--scan {SCANS}: usual has scans 0 to {SCANS - 1}" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     out = tmp_path / "x.rrd"
+    alone = ffmap_here(environment, "inspect", runs["usual"], "--line", 3)
+    assert "--line: requires --scan" in alone.stderr
     moved = tmp_path / "moved"
     moved.mkdir()
     record = json.loads((runs["usual"] / "run.json").read_text())
@@ -572,6 +595,8 @@ def test_what_cannot_be_inspected_is_one_line(
     ):
         with pytest.raises(InputError, match=wanted):
             inspect_command.inspect(path, scan, line, None, out, spawn=False)
+    with pytest.raises(InputError, match="has no recording of its building"):
+        inspect_command.print_building(moved)
     for taken in (runs["usual"] / "recording.rrd", runs["other"] / "recording.rrd"):
         with pytest.raises(InputError, match="belongs to the run"):
             inspect_command.inspect(runs["usual"], "3", None, None, taken, spawn=False)

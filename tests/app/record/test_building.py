@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from ffmap.algorithms.building.evidence import BEYOND, ON
 from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.heights import HeightMap, Surface
-from ffmap.algorithms.building.model import Blinds, BuildingSettings
-from ffmap.algorithms.building.parse import ParseSettings
+from ffmap.algorithms.building.model import Blinds, BuildingSettings, unknown_support
+from ffmap.algorithms.building.parse import Kind, ParseSettings
 from ffmap.algorithms.building.settle import ParsedFaces
 from ffmap.algorithms.building.verdicts import FaceVerdict, JudgedFaces
 from ffmap.algorithms.maps.grid import Cell, GridMap
@@ -23,7 +24,6 @@ from ffmap.app.record.building import (
     log_fused_walls,
     log_grid,
     log_map_block,
-    log_stretches,
 )
 from ffmap.app.record.building_reasons import building_document
 from ffmap.app.record.log import Log
@@ -37,7 +37,14 @@ from tests.app.record.recordings import rows, start, static, vectors
 from tests.faces import NO_JUDGED_FACES, doors, faces, traced, window
 from tests.painted import evidence_of, wall
 
-WALLS = faces(((0.0, 0.0), (4.0, 0.0)))
+WALLS = replace(
+    faces(((0.0, 0.0), (4.0, 0.0))),
+    support=replace(
+        unknown_support(1),
+        **{"kind": np.array([Kind.WALL]), "second": np.array([Kind.LOW]), "odds": np.array([42.4])},
+        **{"on": np.array([1500.0]), "behind": np.array([20.0]), "seen": np.array([0.75])},
+    ),
+)
 DOOR = doors(
     ((1.0, 0.0), (1.9, 0.0)),
     **{"depth_m": [0.05], "agreement": [1.0], "coverage": [0.9], "lintel": [0.75]},
@@ -58,7 +65,9 @@ def building() -> BuildingModel:
     levels = (HeightMap(Surface.CEILING, np.array([1.0, 3.0]), 0.1, *heights),)
     refused = faces(((1.0, 0.0), (1.0, 0.9)))
     judged = JudgedFaces(WALLS, refused, np.array([FaceVerdict.ENDS_LOW]))
-    pane = window((2.5, 0.0), (3.5, 0.0))
+    sheet = {"sheet_m": 0.1, "sheet_share": 0.08, "sheet_patches": 0.95}
+    known = replace(WALLS.support, **{name: np.array([value]) for name, value in sheet.items()})
+    pane = replace(window((2.5, 0.0), (3.5, 0.0)), support=known)
     hung = (np.array([value]) for value in (2.2, 2.6, 0.12))
     blinds = Blinds(pane.ends, pane.normal, *hung)
     return BuildingModel(WALLS, before, judged, DOOR, pane, blinds, levels)
@@ -72,8 +81,13 @@ def recorded(folder: Path, model: BuildingModel) -> dict[str, dict[str, Any]]:
 
 def test_walls_doors_and_windows_are_drawn_where_they_are(tmp_path):
     found = recorded(tmp_path, building())
-    assert "closed door, 0.90 m, 90%" in str(found["/world/building/doors"]["labels"])
-    assert "no wall: rays pass above it" in str(found["/world/building/refused_walls"]["labels"])
+    assert found["/world/building/doors"]["labels"][0] == ["door 0: closed, 0.90 m; not parsed"]
+    why = "odds 42 nats against low; 1,500 rays ended on it, 20 behind; 75% of its cells seen"
+    assert found[f"{entities.WALLS}/000"]["labels"][0] == [f"wall 0: {why}"]
+    assert found[f"{entities.WALLS}/000"]["odds"][0] == pytest.approx([42.4])
+    (of_pane,) = found["/world/building/windows"]["labels"][0]
+    assert of_pane == f"window 0: {why}; sheet 8% (95% of patches) at 0.10 m"
+    assert "no wall 0: rays pass above it" in str(found["/world/building/refused_walls"]["labels"])
     against = vectors(found["/world/building/against_walls"]["positions"][0])
     np.testing.assert_allclose(against, [[0.125, 0, 0.075], [0.175, 0, 0.075]], atol=1e-6)
     outline = vectors(found["/world/building/windows"]["strips"][0][0])
@@ -82,7 +96,7 @@ def test_walls_doors_and_windows_are_drawn_where_they_are(tmp_path):
     hung = vectors(found["/world/building/blinds"]["vertex_positions"][0])
     corners = [[2.5, -0.12, 2.2], [3.5, -0.12, 2.2], [3.5, -0.12, 2.6], [2.5, -0.12, 2.6]]
     np.testing.assert_allclose(hung, corners, rtol=1e-6)
-    panels = vectors(found["/world/building/walls"]["vertex_positions"][0]).reshape(-1, 4, 3)
+    panels = vectors(found[f"{entities.WALLS}/000"]["vertex_positions"][0]).reshape(-1, 4, 3)
     in_door = (panels.mean(axis=1)[:, 0] > 1.0) & (panels.mean(axis=1)[:, 0] < 1.9)
     assert panels[in_door, :, 2].min() >= 2.0999  # only what is above its head
     leaf = vectors(found["/world/building/leaves"]["vertex_positions"][0])
@@ -115,9 +129,9 @@ def test_the_document_has_what_was_measured():
     (door,) = rows_of(document, "Doors")
     assert door["state"] == "closed"
     assert (door["x, y (m)"], door["length (m)"]) == ("1.45, 0.00", "0.90")
-    assert door["depth (m)"] == "0.05"
-    assert (door["agreement"], door["ray count"], door["coverage"]) == ("1", "50", "0.9")
-    assert (door["ajar"], door["last scan"]) == ("–", "9")
+    assert (door["confidence"], door["odds (nats)"], door["sheet"]) == ("0.9", "–", "–")
+    (own,) = rows_of(document, "Walls")
+    assert (own["odds (nats)"], own["against"], own["on"]) == ("42", "low", "1,500")
     (refused,) = rows_of(document, "Faces that are not walls")
     assert "rays pass above it" in refused["why"]
     (pane,) = rows_of(document, "Windows")
@@ -140,7 +154,7 @@ def test_panes_and_low_walls_are_told_from_windows(tmp_path):
     )
     found = recorded(tmp_path, model)
     labels = found["/world/building/windows"]["labels"][0]
-    assert labels == ["window", "pane of an open leaf"]
+    assert [label.split(":")[0] for label in labels] == ["window 0", "pane of an open leaf 0"]
     document = found["/world/building/reasons"]["text"][0][0]
     assert rows_of(document, "Panes of open leaves")[0]["length (m)"] == "0.60"
     assert rows_of(document, "Low walls")[0]["rms (m)"] == "0.006"
@@ -183,9 +197,10 @@ def test_each_wall_face_is_a_picture_of_where_rays_ended(tmp_path):
     face = wall(4.0).paint((1.0, 1.9), (0.0, 2.1), BEYOND)
     known = traced(faces(((0.0, 0.0), (4.0, 0.0))), evidence_of(face), 2.8)
     parsed = ParsedFaces.of(known, np.zeros((0, 2)), BuildingSettings(), ParseSettings())
+    leaning = faces(((1.0, 0.0), (1.0, 0.9)))
+    refused = leaning.append(parsed.cut([(0, 0, 80)]))
     with open_part(tmp_path / "faces.rrd", "run-4") as stream:
-        log_faces(Log(stream), parsed)
-        log_stretches(Log(stream), parsed)
+        log_faces(Log(stream), parsed, parsed, JudgedFaces(WALLS, refused, np.array([3, 1])))
     found = static(tmp_path / "faces.rrd")
     own = found[f"{entities.FACES}/000"]
     (buffer,), (layout,) = own["albedo_texture_buffer"][0], own["albedo_texture_format"][0]
@@ -197,6 +212,8 @@ def test_each_wall_face_is_a_picture_of_where_rays_ended(tmp_path):
     corners = vectors(own["vertex_positions"][0])
     np.testing.assert_allclose(corners.min(axis=0), [0.0, 0.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(corners.max(axis=0), [4.0, 0.0, 2.8], atol=1e-6)
-    labels = found["/world/building/stretches"]["labels"][0]
+    # The first of the refused faces was not parsed, so the second has a picture.
+    assert f"{entities.FACES}/refused/001" in found
+    labels = own["labels"][0]
     assert [label.split(",")[0] for label in labels] == ["wall", "doorway", "wall"]
     assert all("nats against" in label for label in labels)

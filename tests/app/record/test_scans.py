@@ -158,7 +158,8 @@ def test_final_labels_replace_those_of_the_scan(tmp_path, labelled):
     log_scan(log, 0, level, labelling, stamp_ns)
     changed = labelling.label != final
     kind, odds = np.where(changed, 9, 0).astype(np.uint8), np.full(len(final), 12.5, np.float32)
-    relabelled = Relabelled(final, kind, odds)
+    wall = np.full(len(final), 7, np.int32)
+    relabelled = Relabelled(final, kind, odds, wall)
     log_final(log, 0, stamp_ns, level.placed.points_level, labelling.label, relabelled)
     log.send_rows()
     recording.finish()
@@ -169,6 +170,7 @@ def test_final_labels_replace_those_of_the_scan(tmp_path, labelled):
     np.testing.assert_array_equal(recorded["label_scan"], labelling.label[changed])
     assert set(recorded["reason"].tolist()) == {9}
     assert set(recorded["odds"].tolist()) == {12.5}
+    assert set(recorded["wall"].tolist()) == {7}
 
 
 @pytest.mark.parametrize("path", [POINTS, "/scan/lines", UPMOST, OPENINGS])

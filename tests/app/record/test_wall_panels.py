@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffmap.algorithms.building.model import NO_DOORS, NO_WINDOWS, Doors, Windows
+from ffmap.algorithms.building.model import NO_DOORS, NO_WINDOWS, Doors, Windows, unknown_support
 from ffmap.app.record.wall_panels import wall_panels
 from tests.faces import doors, faces, window
 
 WALL_M = 4
 HIGH = Windows(
     *(np.array(v) for v in ([[[1.0, 0], [2, 0]]], [[0, 1]], [3.0], [4.0], [0.1])),
+    unknown_support(1),
 )
 """A window above the wall."""
 
