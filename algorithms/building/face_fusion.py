@@ -6,7 +6,7 @@ from functools import reduce
 import numba
 import numpy as np
 
-from ffmap.algorithms.base.scan import FloatArray, IntArray
+from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.building.model import (
     CELL_M,
@@ -20,29 +20,45 @@ from ffmap.algorithms.building.model import (
 from ffmap.algorithms.scan.summary import Features
 from ffmap.algorithms.scan.wall_planes import fit_upright_plane
 
+_TWO_SURFACES, _TWO_SURFACES_MIN_M = 3.0, 0.01
+"""Scatter of a plane's samples that two surfaces cause: over the lower quartile of all planes', and
+at least (m)."""
+
 
 def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
     """Wall faces from the wall planes of all scans.
 
     The planes join largest first, each the wall face of the same side that it fits; moments add up, so that a wall's
     place is the least-squares one over all its scans. A part that fewer than `scans_min` scans bear out is dropped,
-    and a wall with a long gap becomes two.
+    and a wall with a long gap becomes two. A plane that grew over a step, as from a wall to the soffit before it, is
+    tilted: such planes join last, and do not move a wall that others show.
     """
+    if not len(features.plane_moments):
+        return NO_WALLS
     length_m = lengths_m(features.plane_ends_map)
-    largest_first = np.argsort(-length_m * features.plane_lines, kind="stable")
+    rms_m = np.array([fit_upright_plane(own)[3] for own in features.plane_moments])
+    mixed = rms_m > max(_TWO_SURFACES * np.percentile(rms_m, 25), _TWO_SURFACES_MIN_M)
+    order = np.lexsort((-length_m * features.plane_lines, mixed))
     moments, normal, ends = (
         np.ascontiguousarray(values, np.float64)
         for values in (features.plane_moments, features.plane_normal, features.plane_ends_map)
     )
     cos_angle = float(np.cos(np.radians(settings.angle_deg)))
-    wall = _join(moments, normal, ends, largest_first, cos_angle, settings.distance_m, settings.gap_m)
+    wall = _join(moments, normal, ends, order, mixed, cos_angle, settings.distance_m, settings.gap_m)
     members = (np.flatnonzero(wall == w) for w in range(int(wall.max(initial=-1)) + 1))
-    return reduce(Walls.append, (face for own in members for face in _faces_of(features, own, settings)), NO_WALLS)
+    faces = (face for own in members for face in _faces_of(features, own, mixed[own], settings))
+    return reduce(Walls.append, faces, NO_WALLS)
 
 
-def _faces_of(features: Features, members: IntArray, settings: BuildingSettings) -> Iterable[Walls]:
-    """The stretches of one fused wall that enough scans saw, each a single face; members: its planes."""
-    nx, ny, offset, rms, _ = fit_upright_plane(features.plane_moments[members].sum(axis=0))
+def _faces_of(
+    features: Features, members: IntArray, mixed: BoolArray, settings: BuildingSettings
+) -> Iterable[Walls]:
+    """The stretches of one fused wall that enough scans saw, each a single face; members: its planes.
+
+    mixed: (m,) which of them hold parts of two surfaces.
+    """
+    fitted = members if mixed.all() else members[~mixed]
+    nx, ny, offset, rms, _ = fit_upright_plane(features.plane_moments[fitted].sum(axis=0))
     normal = np.array([nx, ny])
     if np.sum(features.plane_normal[members] @ normal) < 0:
         normal, offset = -normal, -offset
@@ -77,6 +93,7 @@ def _join(
     normal: FloatArray,
     ends: FloatArray,
     order: IntArray,
+    mixed: BoolArray,
     cos_angle: float,
     distance_m: float,
     gap_m: float,
@@ -87,6 +104,7 @@ def _join(
     total = np.zeros((count, 6))
     facing = np.zeros((count, 2))
     fit = np.zeros((count, 5))  # normal x, y, offset, lowest and highest place along it
+    shown = np.zeros(count, np.bool_)  # by a plane of one surface
     walls = 0
     for position in range(count):
         p = order[position]
@@ -108,7 +126,10 @@ def _join(
             walls += 1
             fit[best, 3], fit[best, 4] = np.inf, -np.inf
         wall[p] = best
-        total[best] += moments[p]
+        if not mixed[p]:
+            shown[best] = True
+        if not (mixed[p] and shown[best]):
+            total[best] += moments[p]
         old = fit[best].copy()
         nx, ny, offset, _, _ = fit_upright_plane(total[best])
         if nx * normal[p, 0] + ny * normal[p, 1] < 0:

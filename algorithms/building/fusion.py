@@ -163,12 +163,14 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
     candidates = _find_candidates(scans, settings)
     traced = TracedFaces.of(candidates.faces, scans.trace(candidates.faces), scans.storey)
     seen = _parse(traced, scans, settings)
-    glass = _find_glass(candidates, seen, scans, settings)
+    panes = windows_of([own for own in seen.openings if own.wall < candidates.planes])
+    fronts = _find_fronts(candidates, seen, scans, settings)
+    glass = join_windows(panes.append(fronts))
     clear = _without_outside(seen, glass, scans, settings)
     judged, walls, runs = _judge(candidates, seen, clear, scans, settings)
     in_walls = openings_in(seen.openings, runs)
-    fronts = glass.select(~is_in_wall(glass, walls))
-    windows = join_windows(windows_of(in_walls).append(fronts))
+    panes = windows_of(in_walls).append(panes.select(~is_in_wall(panes, walls)))
+    windows = join_windows(panes.append(fronts))
     found = openings_in(clear.openings, runs)
     doors = doors_of(found, settings.building)
     doors = doors.append(glazed_doors_of(in_walls, settings.building))
@@ -244,7 +246,7 @@ def _reaches_up(places: FloatArray, top_m: FloatArray, storey: Storey) -> BoolAr
 
 
 def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFaces:
-    return align_faces(faces, scans.votes, scans.storey, settings.face_alignment)
+    return align_faces(faces, scans.votes, settings.face_alignment)
 
 
 def _parse(traced: TracedFaces, scans: AllScans, settings: FusionSettings) -> _Parsed:
@@ -253,11 +255,10 @@ def _parse(traced: TracedFaces, scans: AllScans, settings: FusionSettings) -> _P
     return _Parsed(*parsed.with_panes_told(openings, settings.building))
 
 
-def _find_glass(
+def _find_fronts(
     candidates: _Candidates, seen: _Parsed, scans: AllScans, settings: FusionSettings
 ) -> Windows:
-    """The panes in faces, and those that lines show."""
-    windows = windows_of([own for own in seen.openings if own.wall < candidates.planes])
+    """The panes that lines show, such as glazed fronts."""
     straight = candidates.lines[: candidates.straight]
     gaps = seen.faces.part([seen.faces.faces.whole(w) for w in straight])
     fronts = fronts_of(find_openings(gaps.gaps_as_panes(), scans.trace_within))
@@ -265,8 +266,7 @@ def _find_glass(
     middles, depth_m = fronts.ends.mean(axis=1), settings.unseen_walls.shelf_m
     walls = candidates.faces.select(slice(candidates.planes))
     shelves = near_a_face(middles, fronts.normal, walls, 0.0, depth_m)
-    aligned = along_others(fronts, walls, settings.standing_walls)
-    return join_windows(windows.append(fronts.select(aligned & ~shelves)))
+    return fronts.select(along_others(fronts, walls, settings.standing_walls) & ~shelves)
 
 
 def _without_outside(

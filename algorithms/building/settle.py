@@ -54,7 +54,7 @@ _PATCH = 4
 """Edge (cells) of the patches of an opening of which a pane shows in nearly each."""
 _PATCH_RAYS_MIN = 15
 """Least rays into a patch for a pane to show: glass returns every tenth, at a slant fewer."""
-_PANE_PATCHES_MIN, _PANE_SHARE_MAX = 0.9, 0.5
+_PANE_PATCHES_MIN, _PANE_SHARE_MAX, _FROSTED_PURITY_MIN = 0.9, 0.5, 0.9
 _FRONT_MIN_M, _FRONT_SHARE, _PURITY_MIN = 0.5, (0.01, 0.25), 0.7
 """Of a pane in no wall: least width (m), share of the rays that it returns (a rack returns more),
 and its least share of all that returns near."""
@@ -296,8 +296,10 @@ def find_sheet(ended: FloatArray, depth_sum: FloatArray) -> Sheet | None:
     rays, shown = _by_patch(came), _by_patch(returned)
     asked = rays >= _PATCH_RAYS_MIN
     patches = float((shown[asked] > 0).mean()) if 2 * asked.sum() >= asked.size else 0.0
-    share, near = float(returned.sum() / max(came.sum(), 1.0)), layers[..., :FAR].sum()
-    return Sheet(behind_m, share, patches, float(returned.sum() / max(near, 1.0)))
+    share = float(returned.sum() / max(came.sum(), 1.0))
+    deepest = int(np.flatnonzero(on_sheet.any(axis=(0, 1)))[-1])
+    near = float(layers[..., : max(deepest + 1, FAR)].sum())
+    return Sheet(behind_m, share, patches, float(returned.sum()) / near)
 
 
 def _by_patch(cells: FloatArray) -> FloatArray:
@@ -327,10 +329,14 @@ class Opening:
 
     @property
     def is_glass(self) -> bool:
-        """Whether a pane closes it: it returns few rays, from all over."""
-        if self.sheet is None:
+        """Whether a pane closes it: it returns from all over, but not all rays.
+
+        A frosted one, other than a leaf that stands ajar, returns most of them and nothing else.
+        """
+        if self.sheet is None or self.sheet.patches < _PANE_PATCHES_MIN:
             return False
-        return self.sheet.patches >= _PANE_PATCHES_MIN and self.sheet.share < _PANE_SHARE_MAX
+        frosted = self.stretch.kind not in DOORS and self.sheet.purity >= _FROSTED_PURITY_MIN
+        return self.sheet.share < (_LEAF_SHARE_MIN if frosted else _PANE_SHARE_MAX)
 
     @property
     def pane_m(self) -> float:

@@ -58,10 +58,14 @@ def join_windows(windows: Windows) -> Windows:
 
 
 def is_in_wall(windows: Windows, walls: Walls) -> BoolArray:
-    """(N,) which windows lie in a wall that looks the same way."""
+    """(N,) which windows lie for the most part in walls that look the same way.
+
+    Mullions between the panes of a glazed front are short walls, and these end beside panes.
+    """
     faces = tuple(segments(walls))
     panes = zip(windows.ends, windows.normal, strict=True)
-    return np.array([any(is_beside(face, *own) for face in faces) for own in panes], bool)
+    shared_m = [sum(f.shared_m(own[0]) for f in faces if is_beside(f, *own)) for own in panes]
+    return np.array(shared_m) > 0.5 * lengths_m(windows.ends)
 
 
 def is_beside(face: Segment, ends: FloatArray, normal: FloatArray) -> bool:

@@ -187,6 +187,28 @@ def test_a_pane_in_a_doorway_is_a_glazed_door_and_a_window() -> None:
     np.testing.assert_allclose(fronts_of(found).ends[0, :, 1], -0.2, atol=1e-6)
 
 
+def test_a_frosted_pane_returns_most_rays_and_nothing_else_does() -> None:
+    face = wall(5.0).paint(DOOR, (0.5, 2.5), BEYOND, rays=3.0)
+    pane = slice(40, 58), slice(10, 50), DEEP
+    face.ended[pane], face.depth_sum[pane] = 7.0, 7.0 * -0.2
+    found = opened(face)
+    assert [own.is_glass for own in found] == [True]
+    assert found[0].sheet is not None
+    assert found[0].sheet.purity == pytest.approx(1.0)
+    assert windows_of(found).pane_m == pytest.approx(0.2)
+    # Shelves in a niche return from elsewhere, too.
+    before = slice(40, 58), slice(10, 50), RECESS
+    face.ended[before], face.depth_sum[before] = 2.0, 2.0 * -0.1
+    assert not any(own.is_glass for own in opened(face))
+
+
+def test_the_purity_of_a_sheet_far_behind_is_a_share() -> None:
+    face = Painted(18).paint((0.0, 0.9), DOOR_M, FAR, before_m=-0.6)
+    found = sheet_in(face)
+    assert found is not None
+    assert found.purity == pytest.approx(1.0)
+
+
 def test_a_wall_as_far_behind_as_depths_are_booked_is_no_pane() -> None:
     """Of its returns a few end in the last layer, and most beyond."""
     face = wall(5.0).paint(DOOR, DOOR_M, BEYOND, rays=20.0)

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffmap.algorithms.building.windows import panes_of_open_leaves
+from ffmap.algorithms.building.model import NO_WALLS
+from ffmap.algorithms.building.windows import is_in_wall, panes_of_open_leaves
 from ffmap.algorithms.scan.doors import DoorState
-from tests.faces import doors, window
+from tests.faces import doors, faces, window
 
 
 @pytest.mark.parametrize(
@@ -30,3 +31,11 @@ def test_the_pane_of_an_open_leaf_hangs_in_either_face_of_its_wall(
     assert panes_of_open_leaves(pane, doorway).tolist() == [is_leaf]
     aside = replace(pane, normal=np.array([[0.0, 1.0]]))
     assert panes_of_open_leaves(aside, doorway).tolist() == [False]
+
+
+def test_a_pane_between_mullions_lies_in_no_wall_and_one_in_a_wall_does() -> None:
+    pane = window((1.0, 0.0), (2.5, 0.0))
+    mullions = faces(((0.95, 0.01), (1.05, 0.01)), ((2.45, 0.01), (2.55, 0.01)))
+    assert is_in_wall(pane, mullions).tolist() == [False]
+    assert is_in_wall(pane, faces(((0.0, 0.01), (4.0, 0.01)))).tolist() == [True]
+    assert is_in_wall(pane, NO_WALLS).tolist() == [False]
