@@ -26,7 +26,7 @@ from ffmap.algorithms.building.model import (
     cells_in,
     unknown_support,
 )
-from ffmap.algorithms.building.parse import OF_WALLS, OPENINGS, Kind
+from ffmap.algorithms.building.parse import DOORS, OF_WALLS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, Run, has_jambs, standing, wall_odds
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY
 
@@ -34,8 +34,8 @@ Line = tuple[FloatArray, FloatArray]
 """Ends (2, 2) and normal (2,)."""
 _ROW_RETURNS_MIN = 2
 """Least returns of a row of cells that show how high a line stands."""
-_OPEN_SHARE_MAX = 2 / 3
-"""Greatest share of a wall's length that is doors and windows."""
+_DOORS_SHARE_MAX = 0.5
+"""Greatest share of a wall's length that is doorways: the robot's way through scatter seems one."""
 _TRACED_TO_M = 4.0
 """Height up to which rays are counted against lines, of whose tops nothing is known yet."""
 
@@ -89,21 +89,25 @@ def walls_of(
     lines: which of the faces are such. known: the walls that scans see as planes.
     """
     faces, walls, runs = parsed.faces, NO_WALLS, list[Run]()
+    gap = cells_in(building.gap_m)
     for w in lines[~_taken(faces.walls.select(lines), known, settings)]:
-        if _taken(faces.walls.one(w), walls, settings)[0]:
-            continue
         stretches, ended = parsed.stretches[w], faces.evidence.ended[faces.columns(w)]
+        likely = [
+            run
+            for run in standing(stretches, gap)
+            if wall_odds(stretches, *run) >= settings.odds_min
+            and has_jambs(stretches, *run, ended, building.knee_m)
+        ]
+        if not likely or _taken(faces.walls.one(w), walls, settings)[0]:
+            continue
         crossed = _crossed_by(known, faces.walls, w, len(ended))
         seen = np.isfinite(faces.clear_m[faces.columns(w)]) & ~crossed
-        for first, after in standing(stretches, cells_in(building.gap_m)):
+        for first, after in likely:
             own = [s for s in stretches if first <= s.first < after and s.kind in OF_WALLS]
             on = sum(float(ended[s.columns, :, ON].sum()) for s in own if s.kind == Kind.WALL)
-            shows = wall_odds(stretches, first, after) >= settings.odds_min
-            shows &= on >= settings.returns_min
-            open_columns = sum(s.after - s.first for s in own if s.kind in OPENINGS)
-            is_free = seen[first:after].mean() > 0.5
-            is_free &= open_columns <= _OPEN_SHARE_MAX * (after - first)
-            if shows and is_free and has_jambs(stretches, first, after, ended, building.knee_m):
+            doors = sum(s.after - s.first for s in own if s.kind in DOORS)
+            is_open = doors > _DOORS_SHARE_MAX * (after - first)
+            if on >= settings.returns_min and seen[first:after].mean() > 0.5 and not is_open:
                 walls = walls.append(_as_seen(parsed, (w, first, after)))
                 runs.append((w, first, after))
     return walls, runs
@@ -244,7 +248,9 @@ def lines_of_any_direction(place: FloatArray, settings: UnseenWallsSettings) -> 
             if len(near) < 3:
                 break
             middle = place[near].mean(axis=0)
-            along = np.linalg.eigh(np.cov((place[near] - middle).T))[1][:, 1]
+            x, y = (place[near] - middle).T
+            angle = 0.5 * np.arctan2(2.0 * (x @ y), x @ x - y @ y)
+            along = np.array([np.cos(angle), np.sin(angle)])
             normal = np.array([along[1], -along[0]])
             off_m = np.abs((place[near] - middle) @ normal)
             near = near[off_m < 0.5 * settings.half_thickness_m]
