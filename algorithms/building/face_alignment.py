@@ -17,7 +17,14 @@ from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import Segment, segments
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.base.votes import VoxelVotes
+from ffmap.algorithms.building.evidence import first_columns
 from ffmap.algorithms.building.model import CELL_M, Walls
+from ffmap.algorithms.building.storey import (
+    CEILING_NEAR_M,
+    Storey,
+    above_doors_m,
+    column_places,
+)
 
 
 class FaceAlignmentSettings(StepSettings):
@@ -36,17 +43,17 @@ class FaceAlignmentSettings(StepSettings):
     end_m: float = Field(
         0.03, ge=0, description="Distance (m) from a face's ends within which other faces return."
     )
-    extent_share_min: float = Field(
-        0.75, ge=0, le=1, description="A wall shows over this share of the longest surface."
+    above_share_min: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="Where the wall above doors returned from more than this share of a face's "
+        "columns, nothing below counts: furniture stands there.",
     )
 
 
-_SHOWN_MIN = 0.2
-"""Share of a column's returns from a surface that shows in it."""
 _RIVAL_SHARE_MIN = 0.5
-"""A surface that shows in this share of the columns of another may be the wall."""
-_FITS = 6
-"""Fits of a line by least squares, each to what is near the one before."""
+"""A line with this share of the most votes may be the wall."""
 _COLUMNS_MIN, _SPREAD_SHARE_MIN = 3, 0.5
 """Least number of columns that tell where a face lies, and share of it that they spread over."""
 
@@ -94,18 +101,28 @@ class _Cubes:
         return _Cubes(self.mean_map[chosen], self.returns[chosen])
 
 
-def align_faces(walls: Walls, votes: VoxelVotes, settings: FaceAlignmentSettings) -> AlignedFaces:
+def align_faces(
+    walls: Walls, votes: VoxelVotes, storey: Storey, settings: FaceAlignmentSettings
+) -> AlignedFaces:
     """Each face where its columns return from, if near enough to where it was; others as they were.
 
-    Of several surfaces as long as it, it is laid along the one farthest back: what is before that,
-    from panelling to a soffit, is fixed to a wall or stands against it.
+    That is where most of them do; of a face that does not show above doors, where the longest
+    surface does.
     """
     cubes = _Cubes.of(votes)
+    above_m = _above_doors_m(walls, storey)
+    first = first_columns(walls)
     moved_m = np.zeros((len(walls), 2))
     for w, face in enumerate(segments(walls)):
         near = cubes.near(face, settings.reach_m + settings.kept_m, settings.end_m)
-        moved_m[w] = _move_m(face, near, settings)
+        moved_m[w] = _move_m(face, near, above_m[first[w] : first[w + 1]], settings)
     return AlignedFaces(_moved(walls, moved_m), walls, moved_m)
+
+
+def _above_doors_m(walls: Walls, storey: Storey) -> FloatArray:
+    """(c,) map z above which walls alone stand, in each column of all faces."""
+    places = column_places(walls, first_columns(walls))
+    return storey.ground_m(places) + above_doors_m(storey.clear_m(places, CEILING_NEAR_M))
 
 
 def _moved(walls: Walls, moved_m: FloatArray) -> Walls:
@@ -121,18 +138,28 @@ def _moved(walls: Walls, moved_m: FloatArray) -> Walls:
     return replace(walls, ends=ends, normal=normal)
 
 
-def _move_m(face: Segment, cubes: _Cubes, settings: FaceAlignmentSettings) -> FloatArray:
-    """(2,) distance that each end of the face is to move towards the room."""
-    columns = int(np.ceil(face.length_m / CELL_M))
+def _move_m(
+    face: Segment, cubes: _Cubes, above_m: FloatArray, settings: FaceAlignmentSettings
+) -> FloatArray:
+    """(2,) distance that each end of the face is to move towards the room.
+
+    above_m: (c,) map z above which walls alone stand in each column.
+    """
+    columns = len(above_m)
     column = (face.place_m(cubes.mean_map) / CELL_M).astype(np.int64)
+    above = cubes.mean_map[:, 2] > above_m[column]
+    shows_above = len(np.unique(column[above])) > settings.above_share_min * columns
+    if shows_above:
+        cubes, column = cubes.select(above), column[above]
     too_few = len(np.unique(column)) < _COLUMNS_MIN
     if too_few or np.ptp(column) < _SPREAD_SHARE_MIN * columns:
         return np.zeros(2)
     # Every column has one vote, however often it was seen.
     weight = cubes.returns / np.bincount(column, cubes.returns)[column]
     share, before_m = face.place_m(cubes.mean_map) / face.length_m, face.before_m(cubes.mean_map)
-    move_m = np.full(2, _farthest_back_m(column, before_m, weight, columns, settings))
-    for _ in range(_FITS):
+    votes = _line_votes(column, before_m, weight, columns, settings)
+    move_m = votes.most_voted_m() if shows_above else votes.longest_m(_RIVAL_SHARE_MIN)
+    for _ in range(3):
         close = np.abs(before_m - line_m(share, move_m)) < settings.kept_m
         fitted_m = _least_squares_m(share[close], before_m[close], weight[close])
         if not np.all(np.abs(fitted_m) < settings.reach_m + settings.kept_m):
@@ -141,31 +168,60 @@ def _move_m(face: Segment, cubes: _Cubes, settings: FaceAlignmentSettings) -> Fl
     return move_m
 
 
-def _farthest_back_m(
+@dataclass(frozen=True)
+class _LineVotes:
+    """The lines that were tried.
+
+    ends_m: (k, 2) their distances before the face's ends. of_columns: (k, c) each column's votes.
+    """
+
+    ends_m: FloatArray
+    of_columns: FloatArray
+
+    def most_voted_m(self, among: BoolArray | None = None) -> FloatArray:
+        """(2,) the line with most votes, of equals the nearest to the face.
+
+        among: (k,) which may be it.
+        """
+        votes, off_m = self.of_columns.sum(axis=1), np.abs(self.ends_m).sum(axis=1)
+        excluded = np.zeros(len(votes), bool) if among is None else ~among
+        return np.asarray(self.ends_m[np.lexsort((off_m, -votes.round(6), excluded))[0]])
+
+    def longest_m(self, share_min: float) -> FloatArray:
+        """(2,) the longest line of those with this share of the most votes.
+
+        A leaf or a shelf may be broader than what is seen of its wall, but the wall shows on both
+        sides of it.
+        """
+        votes, columns = self.of_columns.sum(axis=1), self.of_columns.shape[1]
+        on = self.of_columns > 0.5
+        extent = columns - on.argmax(axis=1) - on[:, ::-1].argmax(axis=1)
+        extent[~on.any(axis=1)] = 0
+        extent[votes < share_min * votes.max()] = 0
+        return self.most_voted_m(extent >= extent.max() - 1)
+
+
+def _line_votes(
     column: IntArray,
     before_m: FloatArray,
     weight: FloatArray,
     columns: int,
     settings: FaceAlignmentSettings,
-) -> float:
-    """Distance before the face of the surface farthest back, of those that are long.
-
-    A leaf or a shelf may be broader than what is seen of its wall, but the wall shows on both sides
-    of it. column, before_m, weight: of returns.
-    """
-    reach, kept = (round(m / settings.step_m) for m in (settings.reach_m, settings.kept_m))
-    at_bin = np.round(before_m / settings.step_m).astype(np.int64) + reach + kept
-    within = (at_bin >= 0) & (at_bin <= 2 * (reach + kept))
-    votes = np.zeros((columns, 2 * (reach + kept) + 1))
+) -> _LineVotes:
+    """The votes of returns, in columns and at distances before a face, for lines between its ends."""
+    reach_m, step_m = settings.reach_m, settings.step_m
+    tried_m = np.arange(-reach_m, reach_m + step_m / 2, step_m)
+    half = round((reach_m + settings.kept_m) / step_m)
+    at_bin = np.round(before_m / step_m).astype(np.int64) + half
+    within = (at_bin >= 0) & (at_bin <= 2 * half)
+    votes = np.zeros((columns, 2 * half + 1))
     np.add.at(votes, (column[within], at_bin[within]), weight[within])
-    window = np.ones(2 * int(settings.at_line_m / settings.step_m) + 1)
+    window = np.ones(2 * int(settings.at_line_m / step_m) + 1)
     votes = ndimage.convolve1d(votes, window, axis=1, mode="constant")
-    shows = votes[:, kept : kept + 2 * reach + 1] > _SHOWN_MIN
-    count = shows.sum(axis=0)
-    extent = columns - shows.argmax(axis=0) - shows[::-1].argmax(axis=0)
-    extent[count < _RIVAL_SHARE_MIN * count.max()] = 0
-    is_long = extent >= settings.extent_share_min * extent.max()
-    return float(settings.step_m * (np.flatnonzero(is_long)[0] - reach))
+    ends_m = np.stack(np.meshgrid(tried_m, tried_m, indexing="ij"), axis=-1).reshape(-1, 2)
+    lines_m = line_m((np.arange(columns) + 0.5) / columns, ends_m.T[..., None])
+    at = np.round(lines_m / step_m).astype(np.int64) + votes.shape[1] // 2
+    return _LineVotes(ends_m, votes[np.arange(columns), at])
 
 
 def line_m(share: FloatArray, ends_m: FloatArray) -> FloatArray:

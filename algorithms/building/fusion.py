@@ -246,7 +246,7 @@ def _reaches_up(places: FloatArray, top_m: FloatArray, storey: Storey) -> BoolAr
 
 
 def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFaces:
-    return align_faces(faces, scans.votes, settings.face_alignment)
+    return align_faces(faces, scans.votes, scans.storey, settings.face_alignment)
 
 
 def _parse(traced: TracedFaces, scans: AllScans, settings: FusionSettings) -> _Parsed:

@@ -26,7 +26,7 @@ from ffmap.algorithms.building.model import (
     cells_in,
     unknown_support,
 )
-from ffmap.algorithms.building.parse import DOORS, OF_WALLS, Kind
+from ffmap.algorithms.building.parse import DOORS, OF_WALLS, OPENINGS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, Run, has_jambs, standing, wall_odds
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY
 
@@ -34,8 +34,9 @@ Line = tuple[FloatArray, FloatArray]
 """Ends (2, 2) and normal (2,)."""
 _ROW_RETURNS_MIN = 2
 """Least returns of a row of cells that show how high a line stands."""
-_DOORS_SHARE_MAX = 0.5
-"""Greatest share of a wall's length that is doorways: the robot's way through scatter seems one."""
+_DOORS_SHARE_MAX, _OPEN_SHARE_MAX = 0.5, 2 / 3
+"""Greatest share of a wall's length that is doorways, as the robot's way through scatter seems, and
+that is doors and windows."""
 _TRACED_TO_M = 4.0
 """Height up to which rays are counted against lines, of whose tops nothing is known yet."""
 
@@ -105,8 +106,11 @@ def walls_of(
         for first, after in likely:
             own = [s for s in stretches if first <= s.first < after and s.kind in OF_WALLS]
             on = sum(float(ended[s.columns, :, ON].sum()) for s in own if s.kind == Kind.WALL)
-            doors = sum(s.after - s.first for s in own if s.kind in DOORS)
-            is_open = doors > _DOORS_SHARE_MAX * (after - first)
+            doors, opened = (
+                sum(s.after - s.first for s in own if s.kind in kinds) / (after - first)
+                for kinds in (DOORS, OPENINGS)
+            )
+            is_open = doors > _DOORS_SHARE_MAX or opened > _OPEN_SHARE_MAX
             if on >= settings.returns_min and seen[first:after].mean() > 0.5 and not is_open:
                 walls = walls.append(_as_seen(parsed, (w, first, after)))
                 runs.append((w, first, after))

@@ -11,14 +11,17 @@ from ffmap.algorithms.building.face_alignment import (
     FaceAlignmentSettings,
     align_faces,
 )
+from ffmap.algorithms.building.levels import LevelsSettings
 from ffmap.algorithms.building.model import NO_WALLS, Walls, unknown_support
+from ffmap.algorithms.building.storey import Storey
 from tests.voting import vote
 
 TURNS = [0.0, 31.0, 90.0, 203.0]
 
 
 def aligned_by(walls: Walls, votes: VoxelVotes) -> AlignedFaces:
-    return align_faces(walls, votes, FaceAlignmentSettings())
+    storey = Storey.of(votes, (), LevelsSettings())
+    return align_faces(walls, votes, storey, FaceAlignmentSettings())
 
 
 def turned(places: FloatArray, turn_deg: float) -> FloatArray:
@@ -88,12 +91,16 @@ def test_what_stands_before_a_wall_does_not_move_it_while_the_wall_shows_above()
     np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.002)
 
 
-def test_a_face_between_a_wall_and_the_soffit_before_it_comes_to_lie_along_the_wall() -> None:
-    soffit = surface(0.0, 4.0, before_m=0.04, low_m=2.1, high_m=2.35)
-    wall = surface(0.3, 4.0, before_m=-0.045, high_m=2.1)
-    votes = votes_of(0.0, soffit, wall)
-    aligned = aligned_by(face(0.0, 0.0, 4.0, 0.0, 0.0), votes)
-    np.testing.assert_allclose(aligned.moved_m, -0.045, atol=0.004)
+def test_above_heads_is_told_from_the_floor_that_a_ramp_has_raised() -> None:
+    floor = surface(0.0, 4.0, before_m=0.2, low_m=0.5, high_m=0.5)
+    cupboards = surface(0.2, 3.8, before_m=0.03, low_m=0.5, high_m=2.5)
+    above = surface(0.0, 4.0, low_m=2.5, high_m=3.2)
+    points = np.concatenate([*[cupboards] * 8, above])
+    placed = np.column_stack([turned(points[:, :2], 0.0), points[:, 2]])
+    ground = np.column_stack([turned(floor[:, :2], 0.0), floor[:, 2]])
+    label = np.repeat(np.array([Label.WALL, Label.FLOOR], np.uint8), [len(placed), len(ground)])
+    aligned = aligned_by(face(0.0, 0.0, 4.0, 0.0, 0.0), vote(np.concatenate([placed, ground]), label, len(Label), 0.05))
+    np.testing.assert_allclose(aligned.moved_m, 0.0, atol=0.004)
 
 
 def test_where_nothing_shows_above_a_leaf_that_is_broader_than_its_wall_does_not_move_it() -> None:
