@@ -126,8 +126,7 @@ def _join(
             walls += 1
             fit[best, 3], fit[best, 4] = np.inf, -np.inf
         wall[p] = best
-        if not mixed[p]:
-            shown[best] = True
+        shown[best] |= not mixed[p]
         if not (mixed[p] and shown[best]):
             total[best] += moments[p]
         old = fit[best].copy()

@@ -55,6 +55,9 @@ _PATCH = 4
 _PATCH_RAYS_MIN = 15
 """Least rays into a patch for a pane to show: glass returns every tenth, at a slant fewer."""
 _PANE_PATCHES_MIN, _PANE_SHARE_MAX, _FROSTED_PURITY_MIN = 0.9, 0.5, 0.9
+"""Of a pane: least share of patches that it shows in, and greatest share of the rays that it
+returns; a frosted one returns up to `_LEAF_SHARE_MIN`, and at least this share of all that returns
+near."""
 _FRONT_MIN_M, _FRONT_SHARE, _PURITY_MIN = 0.5, (0.01, 0.25), 0.7
 """Of a pane in no wall: least width (m), share of the rays that it returns (a rack returns more),
 and its least share of all that returns near."""

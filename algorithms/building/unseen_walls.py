@@ -29,14 +29,15 @@ from ffmap.algorithms.building.model import (
 from ffmap.algorithms.building.parse import DOORS, OF_WALLS, OPENINGS, Kind
 from ffmap.algorithms.building.settle import ParsedFaces, Run, has_jambs, standing, wall_odds
 from ffmap.algorithms.building.verdicts import ACROSS, SAME_WAY
+from ffmap.algorithms.scan.wall_planes import fit_upright_plane
 
 Line = tuple[FloatArray, FloatArray]
 """Ends (2, 2) and normal (2,)."""
 _ROW_RETURNS_MIN = 2
 """Least returns of a row of cells that show how high a line stands."""
 _DOORS_SHARE_MAX, _OPEN_SHARE_MAX = 0.5, 2 / 3
-"""Greatest share of a wall's length that is doorways, as the robot's way through scatter seems, and
-that is doors and windows."""
+"""Greatest share of a wall's length that is doors, and that is doors and windows. The robot's way
+through scattered returns looks like a doorway."""
 _TRACED_TO_M = 4.0
 """Height up to which rays are counted against lines, of whose tops nothing is known yet."""
 
@@ -253,9 +254,8 @@ def lines_of_any_direction(place: FloatArray, settings: UnseenWallsSettings) -> 
                 break
             middle = place[near].mean(axis=0)
             x, y = (place[near] - middle).T
-            angle = 0.5 * np.arctan2(2.0 * (x @ y), x @ x - y @ y)
-            along = np.array([np.cos(angle), np.sin(angle)])
-            normal = np.array([along[1], -along[0]])
+            nx, ny, *_ = fit_upright_plane(np.array([len(near), 0, 0, x @ x, x @ y, y @ y]))
+            along, normal = np.array([ny, -nx]), np.array([-nx, -ny])
             off_m = np.abs((place[near] - middle) @ normal)
             near = near[off_m < 0.5 * settings.half_thickness_m]
         reach = np.sort((place[near] - middle) @ along) if len(near) >= 3 else np.zeros(1)

@@ -51,7 +51,10 @@ def print_building(run_path: Path) -> None:
     run = open_run(run_path)
     text = None if run.recording is None else text_of(run.recording, REASONS)
     if text is None:
-        raise InputError(f"{run.path}: has no recording of its building. Run ffmap run again")
+        raise InputError(
+            f"{run.path}: has no recording of its building; run ffmap again with "
+            "--outputs +recording"
+        )
     _console().print(Markdown(text))
 
 

@@ -99,10 +99,11 @@ def found(
     known: Walls = KNOWN,
     refused: Walls = NO_WALLS,
     seen_m: float = CEILING_M,
+    door_m: float = 0.0,
 ) -> Walls:
     """Rays from smaller x end on what stands at x = 3 and pass above it, and all else.
 
-    seen_m: above it no ray comes to x = 3.
+    seen_m: above it no ray comes to x = 3. door_m: width of a doorway there.
     """
     votes, storey = room(top_m), Storey.of(room(top_m), (), LevelsSettings())
 
@@ -116,6 +117,7 @@ def found(
         if normal[0] < -0.9 and np.abs(face.start[0] - 3.0) < 0.03:
             own.paint((0.0, 99.0), (0.0, top_m), ON)
             own.paint((0.0, 99.0), (seen_m, 3.0), ON, rays=0.0)
+            own.paint((0.3, 0.3 + door_m), (0.0, 2.1), BEYOND)
         painted.append(own)
     traced = TracedFaces.of(candidates, evidence_of(*painted), storey)
     parsed = ParsedFaces.of(traced, np.zeros((0, 2)), SIZES, ParseSettings())
@@ -146,3 +148,8 @@ def test_an_unseen_wall_is_as_high_as_its_returns() -> None:
 @pytest.mark.parametrize(("seen_m", "count"), [(2.1, 0), (2.4, 1)])
 def test_what_shows_no_higher_than_heads_is_a_leaf_or_a_reveal(seen_m: float, count: int) -> None:
     assert len(found(seen_m=seen_m)) == count
+
+
+@pytest.mark.parametrize(("door_m", "count"), [(0.65, 1), (0.9, 0)])
+def test_a_line_that_is_doorway_for_the_most_part_is_no_wall(door_m: float, count: int) -> None:
+    assert len(found(door_m=door_m)) == count

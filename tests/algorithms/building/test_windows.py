@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.building.model import NO_WALLS
-from ffmap.algorithms.building.windows import is_in_wall, panes_of_open_leaves
+from ffmap.algorithms.building.windows import is_in_wall, join_windows, panes_of_open_leaves
 from ffmap.algorithms.scan.doors import DoorState
 from tests.faces import doors, faces, window
 
@@ -39,3 +39,14 @@ def test_a_pane_between_mullions_lies_in_no_wall_and_one_in_a_wall_does() -> Non
     assert is_in_wall(pane, mullions).tolist() == [False]
     assert is_in_wall(pane, faces(((0.0, 0.01), (4.0, 0.01)))).tolist() == [True]
     assert is_in_wall(pane, NO_WALLS).tolist() == [False]
+
+
+@pytest.mark.parametrize("odds", [(3.0, 9.0), (9.0, 3.0), (np.nan, 9.0)])
+def test_of_two_windows_that_are_one_the_surer_is_its_evidence(odds: tuple[float, float]) -> None:
+    first, last = (
+        replace(pane, support=replace(pane.support, odds=np.array([own])))
+        for pane, own in zip(
+            (window((1.0, 0.0), (2.5, 0.0)), window((1.2, 0.0), (2.6, 0.0))), odds, strict=True
+        )
+    )
+    assert join_windows(first.append(last)).support.odds.tolist() == [9.0]
