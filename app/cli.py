@@ -13,6 +13,7 @@ import typer
 from typer import Argument, Option
 
 from ffmap.app import parameters as shared
+from ffmap.app.interruption import interruption_alone, listen
 from ffmap.app.setup.outputs import RUN_OUTPUTS, SWEEP_OUTPUTS, Detail, Output, parse_outputs
 from ffmap.loaders.bag_path import BagPath
 from ffmap.loaders.errors import InputError
@@ -667,9 +668,11 @@ def main() -> None:
 
     # For numpy and Numba here, and for the worker processes.
     os.environ.update(ENVIRONMENT | os.environ | compiled_code())
+    listen()
     try:
         # Not standalone: Typer prints an error in five lines, and nothing for an interruption.
-        code = app(standalone_mode=False, prog_name="ffmap")
+        with interruption_alone():
+            code = app(standalone_mode=False, prog_name="ffmap")
     except _UsageError as error:
         sys.exit(_print_usage_error(error))
     except (BrokenPipeError, SystemExit) as end:

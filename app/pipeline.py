@@ -1,7 +1,6 @@
 """A run from the bag to the finished folder, stage by stage."""
 
 import shutil
-import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
@@ -20,6 +19,7 @@ from ffmap.app.folder.cloud_file import write_ply
 from ffmap.app.folder.names import CLOUD, TRAJECTORY
 from ffmap.app.folder.record import RunRecord
 from ffmap.app.folder.room_files import topology
+from ffmap.app.interruption import interruption_alone
 from ffmap.app.progress import Progress
 from ffmap.app.record.building import log_cloud
 from ffmap.app.record.odometry import log_trajectory
@@ -90,7 +90,10 @@ def carry_out(run: Run) -> RunRecord:
         try:
             report.open_recording()
             needed = [*run.inputs.bag_path.parts, folder]
-            with run_executor(options.workers, options.scheduler, needed, progress.say) as executor:
+            with (
+                run_executor(options.workers, options.scheduler, needed, progress.say) as executor,
+                interruption_alone(),
+            ):
                 map_building(run, executor, report)
             report.finish("complete")
         except BaseException:
@@ -145,7 +148,5 @@ def interruptible(continuation: str) -> Iterator[None]:
             f"memory ran out; free some, or use fewer --workers; {continuation}"
         ) from None
     except KeyboardInterrupt:
-        # Unfinished objects complain when they are deleted.
-        sys.unraisablehook = lambda _: None
         typer.echo(f"ffmap: interrupted; {continuation}", err=True)
         raise SystemExit(INTERRUPTED) from None

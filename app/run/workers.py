@@ -2,17 +2,17 @@
 
 import multiprocessing as mp
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import connection, forkserver
+from multiprocessing import connection, forkserver, resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
 
+from ffmap.app.interruption import unheard
 from ffmap.loaders.errors import InputError
 
 T = TypeVar("T")
@@ -43,8 +43,10 @@ def make_pool(workers: int) -> Iterator[Executor]:
         return
     # Forked from a server, for this process has threads. It imports while the odometry runs.
     context = mp.get_context("forkserver")
-    context.set_forkserver_preload(["ffmap.app.run.preload"])
-    forkserver.ensure_running()
+    context.set_forkserver_preload(["ffmap.app.run.final"])
+    resource_tracker.ensure_running()  # lets signals through again after its start
+    with unheard():
+        forkserver.ensure_running()
     pool = ProcessPoolExecutor(workers, context, _start_as_worker)
     try:
         with _main_hidden():
@@ -110,8 +112,7 @@ def run_executor(
 
 
 def _start_as_worker() -> None:
-    """Ignore Ctrl-C, which reaches all processes of a terminal, and end when the run is killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """End when the run is killed."""
     threading.Thread(target=_end_with_the_run, daemon=True).start()
 
 
