@@ -65,6 +65,11 @@ class UnseenWallsSettings(StepSettings):
         10.0, ge=0, description="Least odds (nats) of a wall against the next kind: it must show."
     )
     returns_min: int = Field(20, ge=1, description="Least returns that prove it.")
+    scatter_max_m: float = Field(
+        0.05,
+        gt=0,
+        description="Greatest scatter (m, rms) of a wall's returns; what is strewn has more.",
+    )
 
 
 @dataclass(frozen=True)
@@ -112,8 +117,12 @@ def walls_of(
                 for kinds in (DOORS, OPENINGS)
             )
             is_open = doors > _DOORS_SHARE_MAX or opened > _OPEN_SHARE_MAX
-            if on >= settings.returns_min and seen[first:after].mean() > 0.5 and not is_open:
-                walls = walls.append(_as_seen(parsed, (w, first, after)))
+            if on < settings.returns_min or seen[first:after].mean() <= 0.5 or is_open:
+                continue
+            wall = _as_seen(parsed, (w, first, after))
+            # Spread evenly over the layers that are asked, 22 cm, returns would scatter 6.4 cm.
+            if wall.rms_m[0] <= settings.scatter_max_m:
+                walls = walls.append(wall)
                 runs.append((w, first, after))
     return walls, runs
 

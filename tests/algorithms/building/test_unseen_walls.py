@@ -100,10 +100,12 @@ def found(
     refused: Walls = NO_WALLS,
     seen_m: float = CEILING_M,
     door_m: float = 0.0,
+    scatter_m: float = 0.01,
 ) -> Walls:
     """Rays from smaller x end on what stands at x = 3 and pass above it, and all else.
 
-    seen_m: above it no ray comes to x = 3. door_m: width of a doorway there.
+    seen_m: above it no ray comes to x = 3. door_m: width of a doorway there. scatter_m: of what
+    returns.
     """
     votes, storey = room(top_m), Storey.of(room(top_m), (), LevelsSettings())
 
@@ -119,7 +121,7 @@ def found(
             own.paint((0.0, 99.0), (seen_m, 3.0), ON, rays=0.0)
             own.paint((0.3, 0.3 + door_m), (0.0, 2.1), BEYOND)
         painted.append(own)
-    traced = TracedFaces.of(candidates, evidence_of(*painted), storey)
+    traced = TracedFaces.of(candidates, evidence_of(*painted, scatter_m=scatter_m), storey)
     parsed = ParsedFaces.of(traced, np.zeros((0, 2)), SIZES, ParseSettings())
     walls, runs = walls_of(parsed, np.arange(len(candidates)), known, SIZES, SETTINGS)
     assert len(walls) == len(runs)
@@ -139,6 +141,11 @@ def test_furniture_is_no_wall_nor_what_faces_explain() -> None:
     assert len(found(refused=same)) == len(found(known=KNOWN.append(same))) == 0
     # Between two walls that look at each other there is room.
     assert len(found(known=KNOWN.append(faces(((2.8, 3.0), (2.8, 0.0)))))) == 0
+
+
+@pytest.mark.parametrize(("scatter_m", "count"), [(0.045, 1), (0.06, 0)])
+def test_what_is_strewn_about_a_line_is_no_wall(scatter_m: float, count: int) -> None:
+    assert len(found(scatter_m=scatter_m)) == count
 
 
 def test_an_unseen_wall_is_as_high_as_its_returns() -> None:
