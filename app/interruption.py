@@ -1,6 +1,5 @@
 """Ctrl-C, which libraries drop or turn into errors of their own."""
 
-import _thread
 import signal
 import sys
 import threading
@@ -8,13 +7,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-_AGAIN_S = 0.1
+_AGAIN_S = 0.05
+_BETWEEN = {"__enter__", "__exit__", "__del__"}
+"""Functions that an exception must not end: a lock that `threading.Condition` has just taken would
+never be released, and a destructor drops it."""
 _pressed = threading.Event()
 
 
 def listen() -> None:
-    """Make sure that Ctrl-C ends the program, though a destructor may drop the first exception."""
+    """Make sure that Ctrl-C ends the program, and at a place where an exception breaks nothing."""
     signal.signal(signal.SIGINT, _press)
+    signal.signal(signal.SIGALRM, _press)
     sys.unraisablehook = _meet_dropped
 
 
@@ -44,11 +47,20 @@ def unheard() -> Iterator[None]:
 
 def _press(number: int, frame: FrameType | None) -> None:
     _pressed.set()
-    raise KeyboardInterrupt
+    if frame is not None and frame.f_code.co_name in _BETWEEN:
+        _press_in(_AGAIN_S)
+    else:
+        _press_in(0)
+        raise KeyboardInterrupt
+
+
+def _press_in(seconds: float) -> None:
+    """Repeat the interruption after this time; never with 0."""
+    signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 def _meet_dropped(dropped: "sys.UnraisableHookArgs") -> None:
     if isinstance(dropped.exc_value, KeyboardInterrupt):
-        threading.Timer(_AGAIN_S, _thread.interrupt_main).start()
+        _press_in(_AGAIN_S)
     elif not _pressed.is_set():  # Unfinished objects complain when they are deleted.
         sys.__unraisablehook__(dropped)

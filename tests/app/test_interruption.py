@@ -6,7 +6,7 @@ import sys
 import pytest
 
 _HEAD = """
-import signal, subprocess, sys, time
+import signal, subprocess, sys, threading, time
 from ffmap.app.interruption import interruption_alone, listen, unheard
 listen()
 try:
@@ -34,8 +34,26 @@ _DROPPED = """
         print("went on")
 """
 
+_TAKING_A_LOCK = """
+        taken = threading.Lock()
+        class Owner:
+            def __enter__(self):
+                taken.acquire()
+                signal.raise_signal(signal.SIGINT)
+            def __exit__(self, *_):
+                taken.release()
+        try:
+            with Owner():
+                pass
+            time.sleep(30)
+        finally:
+            print(end="taken for ever " if taken.locked() else "")
+"""
 
-@pytest.mark.parametrize("body", [_MASKED, _DROPPED], ids=["masked", "dropped"])
+
+@pytest.mark.parametrize(
+    "body", [_MASKED, _DROPPED, _TAKING_A_LOCK], ids=["masked", "dropped", "lock"]
+)
 def test_whatever_a_library_makes_of_it_ctrl_c_interrupts(body: str) -> None:
     assert _output(_HEAD.format(body=body)) == ("interrupted\n", "")
 
