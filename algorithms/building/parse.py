@@ -51,7 +51,7 @@ SHARES = np.array(
 """(5, 4) of the first five materials: the share of rays that end on the face or in its recess, deep
 in it, far behind, and beyond, measured on drives with ground truth. Air does not sum to one: what
 lies behind an opening is the scene's."""
-_RAY_M, _FACE_M = 0.015, 0.006
+RAY_M, CELL_MEAN_M = 0.015, 0.006
 """Standard deviation (m) of one return, and of a cell's mean however many returns it has."""
 _OF_OPENINGS = list(range(Material.LEAF_RECESSED, Material.SET_BACK + 1))
 _UNSEEN = 0.1
@@ -214,7 +214,7 @@ def _recess_odds(count: FloatArray, depth_sum: FloatArray, least_m: float) -> Fl
     """
     most_m = -LAYERS_M[DEEP]
     behind_m = -depth_sum / np.maximum(count, 1.0)
-    sigma_m = np.sqrt(_RAY_M**2 / np.maximum(count, 1.0) + _FACE_M**2)
+    sigma_m = np.sqrt(RAY_M**2 / np.maximum(count, 1.0) + CELL_MEAN_M**2)
     in_face = -0.5 * (behind_m / sigma_m) ** 2 - np.log(sigma_m * np.sqrt(2.0 * np.pi))
     within = ndtr((most_m - behind_m) / sigma_m) - ndtr((least_m - behind_m) / sigma_m)
     recessed = np.log(np.maximum(within, 1e-6) / (most_m - least_m))

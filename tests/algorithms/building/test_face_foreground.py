@@ -1,4 +1,4 @@
-"""What stands flat against a wall, told from the wall by the mean distance of each cell's returns before its face."""
+"""What stands flat against a wall, told by the mean distance of each cell's returns before it."""
 
 from dataclasses import replace
 
