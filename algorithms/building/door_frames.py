@@ -32,34 +32,49 @@ class DoorFramesSettings(StepSettings):
     """Measuring doors' jambs, heads and reveals to a centimetre."""
 
     jamb_reach_m: float = Field(
-        0.2, gt=0, le=1, description="Maximum distance (m) of a jamb from where the cells of the wall's face show it."
+        0.2,
+        gt=0,
+        le=1,
+        description="Maximum distance (m) of a jamb from where the face's cells show it.",
     )
     from_m: float = Field(
-        0.3, gt=0, description="Minimum distance (m) of a scan before the face: nearer ones meet the frame aslant."
+        0.3,
+        gt=0,
+        description="Least distance (m) of a scan before the face: nearer ones see it aslant.",
     )
     to_m: float = Field(
-        6.0, gt=0, description="Maximum distance (m) of a scan before the face: farther ones have few rays there."
+        6.0,
+        gt=0,
+        description="Greatest distance (m) of a scan before the face: others have few rays.",
     )
     corner_m: float = Field(
         0.15,
         ge=0,
-        description="Closer to a jamb (m) rays tell nothing of the head; closer to the head, nothing of a jamb.",
+        description="Closer to a jamb (m) rays tell nothing of the head, and the reverse.",
     )
     foot_m: float = Field(
-        0.2, ge=0, description="Lower above the floor (m) sills, stops and thresholds stand in the doorway."
+        0.2,
+        ge=0,
+        description="Lower above the floor (m) sills, stops and thresholds stand in the doorway.",
     )
     underside_m: float = Field(
         0.08,
         gt=0,
-        description="Maximum distance (m) from a door's head of rays that may end on its lintel's underside.",
+        description="Distance (m) from a door's head of what may be its lintel's underside.",
     )
     behind_max_m: float = Field(
         0.1,
         gt=0,
-        description="Behind the face (m) beyond which it does not matter where a ray through the opening ended.",
+        description="Greatest depth (m) behind the face that a ray through it counts with.",
     )
-    rays_min: int = Field(30, ge=1, description="Minimum rays on the face, and behind it, that place a jamb or a head.")
-    reveal_max_m: float = Field(0.7, gt=0, le=5, description="Maximum depth (m) of a door's reveals.")
+    rays_min: int = Field(
+        30,
+        ge=1,
+        description="Minimum rays on the face, and behind it, that place a jamb or a head.",
+    )
+    reveal_max_m: float = Field(
+        0.7, gt=0, le=5, description="Maximum depth (m) of a door's reveals."
+    )
 
 
 if TYPE_CHECKING:
@@ -69,8 +84,10 @@ else:  # compiled code takes named tuples
 
 
 class _Frames(NamedTuple):
-    """Doors for compiled code: see `Doors`, and the ends and normal of the face of each one's wall. is_open: whether no leaf was
-    seen in it."""
+    """Doors for compiled code: see `Doors`; the ends and normals of their walls' faces.
+
+    is_open: whether no leaf was seen in it.
+    """
 
     ends: FloatArray
     head_m: FloatArray
@@ -83,8 +100,8 @@ class _Frames(NamedTuple):
 class _Evidence(NamedTuple):
     """What rays tell of the edges of D openings.
 
-    jamb_cost_m, head_cost_m: (D, 2, bins), (D, bins) by how much rays end off where they would with the edge in each bin, from
-    within the opening outwards.
+    jamb_cost_m, head_cost_m: (D, 2, bins), (D, bins) by how much rays end off where they would with
+        the edge in each bin, from within the opening outwards.
     jamb_rays, head_rays: (D, 2, 2), (D, 2) rays that ended on the face, and behind it.
     scans: (D, 3) the number of scans that tell of the door, the first and the last.
     """
@@ -96,7 +113,9 @@ class _Evidence(NamedTuple):
     scans: IntArray
 
     @classmethod
-    def none(cls, doors: int, heads_m: tuple[float, float], settings: DoorFramesSettings) -> "_Evidence":
+    def none(
+        cls, doors: int, heads_m: tuple[float, float], settings: DoorFramesSettings
+    ) -> "_Evidence":
         jamb_bins = 1 + round(2 * settings.jamb_reach_m / _BIN_M)
         head_bins = round((heads_m[1] - heads_m[0]) / _BIN_M)
         return cls(
@@ -109,12 +128,17 @@ class _Evidence(NamedTuple):
 
 
 def place_frames(
-    doors: Doors, walls: Walls, blocks: Iterable[Features], building: BuildingSettings, settings: DoorFramesSettings
+    doors: Doors,
+    walls: Walls,
+    blocks: Iterable[Features],
+    building: BuildingSettings,
+    settings: DoorFramesSettings,
 ) -> Doors:
-    """The doors with jambs and head where the rays tell them to a centimetre, and with the scans that saw these.
+    """The doors with jambs and head to a centimetre, and with the scans that saw these.
 
-    Beyond a jamb or the head rays end on the wall's face, within they pass it or end on the leaf behind, or on the reveal or
-    the lintel's underside. Each edge goes where rays contradict it least; one without rays on both sides stays.
+    Beyond a jamb or the head rays end on the wall's face, within they pass it or end on the leaf
+    behind, or on the reveal or the lintel's underside. Each edge goes where rays contradict it
+    least; one without rays on both sides stays.
 
     walls: those that `doors.wall` counts.
     """
@@ -130,13 +154,17 @@ def place_frames(
     )
     rules, own = _Rules(**settings.model_dump()), OwnPlane.of(building)
     for block in blocks:
-        _compare_with_frames(frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, heads_m, rules)
+        _compare_with_frames(
+            frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, heads_m, rules
+        )
     ends, head_m = doors.ends.copy(), doors.head_m.copy()
     for d, doorway in enumerate(segments(doors)):
         if doors.depth_m[d] <= 0.0:
-            continue  # Its leaf is flush, or hangs before the wall: rays end on it as they do on the wall.
+            continue  # Its leaf is flush, or hangs before the wall, and looks as that does.
         for side, outwards in ((0, -1.0), (1, 1.0)):
-            edge_m = _edge_m(evidence.jamb_cost_m[d, side], evidence.jamb_rays[d, side], settings.rays_min)
+            edge_m = _edge_m(
+                evidence.jamb_cost_m[d, side], evidence.jamb_rays[d, side], settings.rays_min
+            )
             if edge_m is not None:
                 ends[d, side] += outwards * doorway.along * (edge_m - settings.jamb_reach_m)
         edge_m = _edge_m(evidence.head_cost_m[d], evidence.head_rays[d], settings.rays_min)
@@ -145,25 +173,38 @@ def place_frames(
         if edge_m is not None and heads_m[0] + edge_m < highest_m:
             head_m[d] = heads_m[0] + edge_m
     count, first, last = evidence.scans.T
-    return replace(doors, ends=ends, head_m=head_m, scan_count=count.astype(np.int32), first_scan=first, last_scan=last)
+    return replace(
+        doors,
+        ends=ends,
+        head_m=head_m,
+        scan_count=count.astype(np.int32),
+        first_scan=first,
+        last_scan=last,
+    )
 
 
 def _edge_m(cost_m: FloatArray, rays: IntArray, rays_min: int) -> float | None:
-    """Distance from the first bin at which rays contradict an opening's edge least; None where too few tell: see `_Evidence`."""
+    """Where (m) from the first bin rays contradict an edge least; None where too few tell."""
     return float(np.argmin(cost_m)) * _BIN_M if rays.min() >= rays_min else None
 
 
 @numba.njit(cache=True, nogil=True)
 def _add_costs(
-    cost_m: FloatArray, first_m: float, place_m: float, outwards: float, end_m: float, depth_m: float
+    cost_m: FloatArray,
+    first_m: float,
+    place_m: float,
+    outwards: float,
+    end_m: float,
+    depth_m: float,
 ) -> None:  # pragma: no cover
     """Add, for an edge in each bin, by how much a ray ended off where it then should have.
 
-    Beyond the edge a ray ends on the face; within, on the leaf or wherever, or before on the reveal or the lintel's
-    underside, if it comes near enough.
+    Beyond the edge a ray ends on the face; within, on the leaf or wherever, or before on the reveal
+    or the lintel's underside, if it comes near enough.
 
-    first_m: the first bin's place. place_m: where the ray meets the face; outwards: by how many metres it nears the edge for
-    each behind that. end_m: how far behind the face it ended; depth_m: where it would within the opening.
+    first_m: the first bin's place. place_m: where the ray meets the face; outwards: by how many
+        metres it nears the edge for each behind that. end_m: how far behind the face it ended;
+        depth_m: where it would within the opening.
     """
     for k in range(len(cost_m)):
         inside_m = first_m + k * _BIN_M - place_m
@@ -197,7 +238,10 @@ def _compare_with_frames(
             ox, oy = origin[s, 0] - ends[d, 0, 0], origin[s, 1] - ends[d, 0, 1]
             reach = wall_normal[d, 0] * ox + wall_normal[d, 1] * oy
             # Seen at a slant, a leaf's recess shifts where rays pass the face.
-            aslant = not is_open[d] and abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
+            aslant = (
+                not is_open[d]
+                and abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
+            )
             if aslant or reach < rules.from_m or reach > rules.to_m:
                 continue
             nx, ny, offset, start, stop = own_plane(wall_ends[d], wall_normal[d], rays, s, own)
@@ -217,7 +261,11 @@ def _compare_with_frames(
                     continue
                 # A ray's direction is known far better than where on it it ended.
                 t = reach / (reach - side)
-                x, y, z = ox + t * (x - ox), oy + t * (y - oy), origin[s, 2] + t * (ray_end[r, 2] - origin[s, 2])
+                x, y, z = (
+                    ox + t * (x - ox),
+                    oy + t * (y - oy),
+                    origin[s, 2] + t * (ray_end[r, 2] - origin[s, 2]),
+                )
                 u = x * dx + y * dy
                 if u < -jamb_reach_m or u > length + jamb_reach_m:
                     continue
@@ -237,27 +285,36 @@ def _compare_with_frames(
                     _add_costs(jamb_cost_m[d, 0], -jamb_reach_m, -u, -sideways, end_m, depth_m[d])
                 if u > length - jamb_reach_m:
                     jamb_rays[d, 1, kind] += 1
-                    _add_costs(jamb_cost_m[d, 1], -jamb_reach_m, u - length, sideways, end_m, depth_m[d])
+                    _add_costs(
+                        jamb_cost_m[d, 1], -jamb_reach_m, u - length, sideways, end_m, depth_m[d]
+                    )
             if saw:
                 scans[d, 0] += 1
                 scans[d, 1] = scan[s] if scans[d, 1] < 0 else scans[d, 1]
                 scans[d, 2] = scan[s]
 
 
-def measure_reveals(doors: Doors, blocks: Iterable[Features], settings: DoorFramesSettings) -> Doors:
+def measure_reveals(
+    doors: Doors, blocks: Iterable[Features], settings: DoorFramesSettings
+) -> Doors:
     """The doors with the depth of their reveals, by the returns of the underside of each lintel.
 
-    Nothing else hangs in a doorway at the height of its head; the leaf's edge stands beside a jamb, which is left out.
+    Nothing else hangs in a doorway at the height of its head; the leaf's edge stands beside a jamb,
+    which is left out.
     """
-    # The underside shows over most of eight parts of the door's width; the edge of a leaf that is ajar does not.
+    # The underside shows over most of eight parts of the door's width; the edge of a leaf that is
+    # ajar does not.
     counts = np.zeros((len(doors), int(settings.reveal_max_m / _BIN_M), 8), np.int64)
     length_m, rules = lengths_m(doors.ends), _Rules(**settings.model_dump())
     for block in blocks:
-        _count_undersides(doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block), rules)
+        _count_undersides(
+            doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block), rules
+        )
     reveal_m = doors.reveal_m.copy()
     for d in range(len(doors)):
-        # As deep as returns follow each other without a gap, over most of the width: the upper edge of a leaf that is ajar is
-        # narrow. They scatter about the end, which is where half as many return as before.
+        # As deep as returns follow each other without a gap, over most of the width: the upper edge
+        # of a leaf that is ajar is narrow. They scatter about the end, which is where half as many
+        # return as before.
         enough = np.count_nonzero(counts[d], axis=1) > 0.5 * counts.shape[2]
         runs = stretches(enough, 4)
         if runs and runs[0][0] * _BIN_M <= 0.1:
@@ -294,7 +351,9 @@ def _count_undersides(
                 behind = -(normal[d, 0] * x + normal[d, 1] * y)
                 if behind < 0.0 or behind >= bins * _BIN_M:
                     continue
-                u = ((ends[d, 1, 0] - ends[d, 0, 0]) * x + (ends[d, 1, 1] - ends[d, 0, 1]) * y) / length_m[d]
+                u = (
+                    (ends[d, 1, 0] - ends[d, 0, 0]) * x + (ends[d, 1, 1] - ends[d, 0, 1]) * y
+                ) / length_m[d]
                 inner = (u - corner_m) / (length_m[d] - 2 * corner_m)
                 if 0.0 <= inner < 1.0:
                     counts[d, int(behind / _BIN_M), int(inner * counts.shape[2])] += 1

@@ -208,7 +208,7 @@ def _line_votes(
     columns: int,
     settings: FaceAlignmentSettings,
 ) -> _LineVotes:
-    """The votes of returns, in columns and at distances before a face, for lines between its ends."""
+    """The votes of returns in columns, at distances before a face, for lines between its ends."""
     reach_m, step_m = settings.reach_m, settings.step_m
     tried_m = np.arange(-reach_m, reach_m + step_m / 2, step_m)
     half = round((reach_m + settings.kept_m) / step_m)

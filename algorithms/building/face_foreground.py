@@ -155,7 +155,7 @@ def _profile(
 
 
 def _around(values: FloatArray) -> FloatArray:
-    """(c, rows, columns) each cell (c, rows) with those beside it in its row; NaN beyond the ends."""
+    """(c, rows, columns) each cell with those beside it in its row; NaN beyond the ends."""
     padded = np.pad(values, ((_AROUND // 2,) * 2, (0, 0)), constant_values=np.nan)
     return np.lib.stride_tricks.sliding_window_view(padded, _AROUND, axis=0)
 
@@ -163,7 +163,7 @@ def _around(values: FloatArray) -> FloatArray:
 def _standing(
     mean_m: FloatArray, weight: FloatArray, clear_m: FloatArray, settings: ForegroundSettings
 ) -> BoolArray:
-    """(c, rows) whether a cell is of what stands on the floor, and is neither pillar nor panelling."""
+    """(c, rows) whether a cell is of what stands on the floor, no pillar and no panelling."""
     rows = np.arange(mean_m.shape[1])
     step_m, odds = _steps(mean_m, weight)
     stands = (step_m > settings.relief_m) & (rows >= cells_in(settings.extent_min_m) - 1)

@@ -28,10 +28,11 @@ at least (m)."""
 def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
     """Wall faces from the wall planes of all scans.
 
-    The planes join largest first, each the wall face of the same side that it fits; moments add up, so that a wall's
-    place is the least-squares one over all its scans. A part that fewer than `scans_min` scans bear out is dropped,
-    and a wall with a long gap becomes two. A plane that grew over a step, as from a wall to the soffit before it, is
-    tilted: such planes join last, and do not move a wall that others show.
+    The planes join largest first, each the wall face of the same side that it fits; moments add up,
+    so that a wall's place is the least-squares one over all its scans. A part that fewer than
+    `scans_min` scans bear out is dropped, and a wall with a long gap becomes two. A plane that grew
+    over a step, as from a wall to the soffit before it, is tilted: such planes join last, and do
+    not move a wall that others show.
     """
     if not len(features.plane_moments):
         return NO_WALLS
@@ -44,7 +45,9 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
         for values in (features.plane_moments, features.plane_normal, features.plane_ends_map)
     )
     cos_angle = float(np.cos(np.radians(settings.angle_deg)))
-    wall = _join(moments, normal, ends, order, mixed, cos_angle, settings.distance_m, settings.gap_m)
+    wall = _join(
+        moments, normal, ends, order, mixed, cos_angle, settings.distance_m, settings.gap_m
+    )
     members = (np.flatnonzero(wall == w) for w in range(int(wall.max(initial=-1)) + 1))
     faces = (face for own in members for face in _faces_of(features, own, mixed[own], settings))
     return reduce(Walls.append, faces, NO_WALLS)
@@ -53,9 +56,9 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
 def _faces_of(
     features: Features, members: IntArray, mixed: BoolArray, settings: BuildingSettings
 ) -> Iterable[Walls]:
-    """The stretches of one fused wall that enough scans saw, each a single face; members: its planes.
+    """The stretches of one fused wall that enough scans saw, each a single face.
 
-    mixed: (m,) which of them hold parts of two surfaces.
+    members, mixed: (m,) its planes, and which of them hold parts of two surfaces.
     """
     fitted = members if mixed.all() else members[~mixed]
     nx, ny, offset, rms, _ = fit_upright_plane(features.plane_moments[fitted].sum(axis=0))
@@ -139,11 +142,12 @@ def _join(
             u = -ny * ends[p, e, 0] + nx * ends[p, e, 1]
             low, high = min(low, u), max(high, u)
         if old[3] < old[4]:
-            # The direction hardly moves once a wall is long: carry its old ends over to the new one.
+            # The direction hardly moves once a wall is long: carry its old ends over.
             for u_old in (old[3], old[4]):
                 x = old[0] * old[2] - old[1] * u_old
                 y = old[1] * old[2] + old[0] * u_old
                 u = -ny * x + nx * y
                 low, high = min(low, u), max(high, u)
-        fit[best, 0], fit[best, 1], fit[best, 2], fit[best, 3], fit[best, 4] = nx, ny, offset, low, high
+        fit[best, 0], fit[best, 1], fit[best, 2] = nx, ny, offset
+        fit[best, 3], fit[best, 4] = low, high
     return wall

@@ -5,8 +5,8 @@ A return at range r is from a surface k of the building with the likelihood
     p(r | k) p(label of the scan | k) p(no other surface hides k),
 
 where r is Gaussian about the range at which the ray meets the surface, with the noise of ranges and
-the error of the pose, or an outlier. Surfaces are panels (see `panels`) and the scan's own floor and
-ceiling. "Nothing of the building" competes with them: clutter may be anywhere, but not behind a
+the error of the pose, or an outlier. Surfaces are panels (see `panels`) and the scan's own floor
+and ceiling. "Nothing of the building" competes with them: clutter may be anywhere, but not behind a
 surface.
 """
 

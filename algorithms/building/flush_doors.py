@@ -1,8 +1,8 @@
 """Closed doors that are flush with their wall, by how strongly their leaf reflects.
 
-Of all that differs so from its wall (posters, boards, painted dados, walls of another finish) a leaf
-alone is as wide and as high as doors are, reaches the floor, differs alike all over, and lies in the
-face of its wall, which goes on alike at both sides and above.
+Of all that differs so from its wall (posters, boards, painted dados, walls of another finish) a
+leaf alone is as wide and as high as doors are, reaches the floor, differs alike all over, and lies
+in the face of its wall, which goes on alike at both sides and above.
 """
 
 from dataclasses import replace
@@ -36,8 +36,8 @@ share of the wall's: the channels of one lidar differ by less."""
 _STRIP, _BESIDE, _ABOVE = 2, 6, 3
 """Columns on each side of a jamb, columns of the wall beside a door, rows of the wall above it."""
 _ALIKE_MAX, _SPREAD_MAX, _PARTS_MIN = 0.4, 0.6, 0.8
-"""Greatest difference of the wall's parts, and of a part of the leaf from its contrast, as shares of
-that; least share of the leaf's rows and columns that differ by no more."""
+"""Greatest difference of the wall's parts, and of a part of the leaf from its contrast, as shares
+of that; least share of the leaf's rows and columns that differ by no more."""
 _FLUSH_M = 0.012
 """Greatest distance (m) of a leaf from the wall's face: a board stands out, a recess is parsed."""
 

@@ -1,4 +1,4 @@
-"""The immobile building as faces of walls, doors and windows; the lengths that tell what belongs to a face."""
+"""The immobile building: faces of walls, doors, windows; lengths that tell what is of a face."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Self
@@ -14,30 +14,46 @@ from ffmap.algorithms.base.settings import StepSettings
 CELL_M = 0.05
 """Edge of the cells that a wall face is told apart by."""
 AT_FACE_M = 0.06
-"""A return closer to a face may be its own, displaced by noise along the ray and by the pose's error."""
+"""A return closer to a face may be its own, displaced by noise along the ray and by the pose's
+error."""
 ON_FACE_M = 0.03
-"""A return farther behind the face is within the opening: on a reveal, on the lintel's underside, or beyond."""
+"""A return farther behind the face is within the opening: on a reveal, on the lintel's underside,
+or beyond."""
 
 
 class BuildingSettings(StepSettings):
     """Fusing scans' planes into faces, counting rays against these, and how large doors are."""
 
-    angle_deg: float = Field(8.0, gt=0, le=45, description="Planes of one wall differ by at most this many degrees.")
-    distance_m: float = Field(0.10, gt=0, description="Planes of one wall lie at most this many metres apart.")
-    own_plane_m: float = Field(0.03, ge=0, description="Maximum distance (m) from a face of a scan's own plane of it.")
+    angle_deg: float = Field(
+        8.0, gt=0, le=45, description="Planes of one wall differ by at most this many degrees."
+    )
+    distance_m: float = Field(
+        0.10, gt=0, description="Planes of one wall lie at most this many metres apart."
+    )
+    own_plane_m: float = Field(
+        0.03, ge=0, description="Maximum distance (m) from a face of a scan's own plane of it."
+    )
     own_plane_margin_m: float = Field(
-        0.2, ge=0, description="A scan's own plane of a wall holds this far (m) beyond what the scan saw of it."
+        0.2,
+        ge=0,
+        description="A scan's own plane of a wall holds this far (m) beyond what it saw.",
     )
     gap_m: float = Field(
-        0.6, ge=0, description="A wall has no gap longer than this many metres between its planes, or its returns."
+        0.6,
+        ge=0,
+        description="Longest gap (m) between a wall's planes, or between its returns.",
     )
-    scans_min: int = Field(3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it.")
+    scans_min: int = Field(
+        3, ge=1, description="Fewest scans that make a wall, and that bear out each part of it."
+    )
     length_min_m: float = Field(0.25, ge=0, description="Shortest wall face in metres.")
-    range_m: float = Field(25.0, gt=0, description="Rays from farther (m) tell nothing of walls, seen through doors.")
+    range_m: float = Field(
+        25.0, gt=0, description="Rays from farther (m) tell nothing of walls, seen through doors."
+    )
     recess_min_m: float = Field(
         0.015,
         gt=0,
-        description="Least depth (m) of a closed leaf behind its wall: DIN 18101 has 1.5 cm or more.",
+        description="Least depth (m) of a closed leaf behind its wall, by DIN 18101.",
     )
     door_width_min_m: float = Field(0.6, gt=0, description="Narrowest door in metres.")
     door_width_max_m: float = Field(2.6, gt=0, description="Widest door in metres, of two leaves.")
@@ -53,13 +69,22 @@ class BuildingSettings(StepSettings):
         0.1, ge=0, description="Half the width (m) of the narrowest robot: no wall is nearer."
     )
     reveal_m: float = Field(
-        0.3, ge=0, description="Depth (m) of a door's reveals where neither a lintel nor a wall of the building tells."
+        0.3,
+        ge=0,
+        description="Depth (m) of a door's reveals where nothing in the building tells.",
     )
     opaque_min: float = Field(
-        0.9, ge=0, le=1, description="Share of a closed leaf's rays that end on it; a pane lets more of them through."
+        0.9,
+        ge=0,
+        le=1,
+        description="Share of a closed leaf's rays that end on it; a pane lets more pass.",
     )
-    confidence_min: float = Field(0.2, ge=0, le=1, description="What is less sure than this to be a door is none.")
-    rays_min: int = Field(6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide.")
+    confidence_min: float = Field(
+        0.2, ge=0, le=1, description="What is less sure than this to be a door is none."
+    )
+    rays_min: int = Field(
+        6, ge=1, description="Fewest rays that decide on a column of a wall, 5 cm wide."
+    )
 
 
 @dataclass(frozen=True)
@@ -71,7 +96,9 @@ class Rows:
 
     def select(self, chosen: IntArray | BoolArray | slice) -> Self:
         """Some of them, by index, by flag or in a row."""
-        return replace(self, **{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+        return replace(
+            self, **{field.name: getattr(self, field.name)[chosen] for field in fields(self)}
+        )
 
     __getitem__ = select
 
@@ -139,7 +166,8 @@ class Walls(Rows):
     ends: (W, 2, 2) x and y, metres.
     normal: (W, 2) unit vectors towards the room.
     bottom_m, top_m: (W,) heights above the floor between which it was seen.
-    scan_count: (W,) scans that saw a plane of it; 0 for one that only the returns of all scans together show.
+    scan_count: (W,) scans that saw a plane of it; 0 for one that only the returns of all scans
+        together show.
     rms_m: (W,) spread about it of the planes' samples, or of the returns.
     sample_count: (W,) how many of these it rests on.
     support: (W,) of its parse.
@@ -173,7 +201,8 @@ class Windows(Rows):
 
     ends: (N, 2, 2) x and y, on the wall's face. normal: (N, 2) towards the room.
     bottom_m, top_m: (N,) heights between which most rays pass.
-    pane_m: (N,) how far the pane stands behind the face; NaN where it returned nothing, or hangs before it.
+    pane_m: (N,) how far the pane stands behind the face; NaN where it returned nothing, or hangs
+        before it.
     support: (N,) of its parse.
     """
 
@@ -201,7 +230,8 @@ class Blinds(Rows):
 
     ends: (B, 2, 2) x and y, on the wall's face. normal: (B, 2) towards the room.
     bottom_m, top_m: (B,) heights above the floor between which it hangs.
-    behind_m: (B,) how far behind the wall beside its window; 0 where it is flush with that, or stands out.
+    behind_m: (B,) how far behind the wall beside its window; 0 where it is flush with that, or
+        stands out.
     """
 
     ends: FloatArray
@@ -218,17 +248,22 @@ class Doors(Rows):
     ends: (D, 2, 2) x and y of the two jambs, along the sill.
     normal: (D, 2) of the wall face in which it was seen best.
     head_m: (D,) height of the lintel's underside above the floor.
-    depth_m: (D,) depth of the leaf behind the wall's face, negative of one that hangs before it; NaN for open doors.
+    depth_m: (D,) depth of the leaf behind the wall's face, negative of one that hangs before it;
+        NaN for open doors.
     state: (D,) uint8, see `algorithms.scan.doors.DoorState`.
-    agreement: (D,) share of the rays between foot and head that say the same: that it is open, or closed.
-    coverage: (D,) share of its columns that are decided so by themselves, or that an open door's leaf covers.
+    agreement: (D,) share of the rays between foot and head that say the same: that it is open, or
+        closed.
+    coverage: (D,) share of its columns that are decided so by themselves, or that an open door's
+        leaf covers.
     lintel: (D,) share of its columns above which its wall was seen; a duct may hide that.
     ajar: (D,) whether it is open because its leaf, which rays end on, stands aslant.
     ray_count: (D,) rays that decided.
-    scan_count, first_scan, last_scan: (D,) the scans whose rays met it or passed it close by; -1 where none is known.
+    scan_count, first_scan, last_scan: (D,) the scans whose rays met it or passed it close by; -1
+        where none is known.
     crossed: (D,) whether the robot drove through.
     wall: (D,) the wall face in which it was seen best.
-    reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face; NaN where unknown.
+    reveal_m: (D,) how far its reveals and the underside of its lintel reach behind the wall's face;
+        NaN where unknown.
     glazed: (D,) whether its leaf is a pane.
     support: (D,) of its parse.
     """
@@ -293,7 +328,7 @@ _NOT_TOLD = {
 
 
 def one_door(support: Support | None = None, **told: ArrayLike) -> Doors:
-    """A single door by what is told of it, named as in `Doors`; what may be unknown there can be left out."""
+    """A single door by what is told of it, named as in `Doors`; without what is unknown."""
     rows = {
         name: np.array([value], getattr(NO_DOORS, name).dtype)
         for name, value in (_NOT_TOLD | told).items()

@@ -73,7 +73,7 @@ Run = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class ParsedFaces:
-    """Faces with what rays found of them, and the stretches (W lists) that these were parsed into."""
+    """Faces with what rays found of them, and the stretches (W lists) that they consist of."""
 
     faces: TracedFaces
     stretches: tuple[list[Stretch], ...]

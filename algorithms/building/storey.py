@@ -66,7 +66,7 @@ class Storey:
 
         NaN where none was seen within `near_m`.
 
-        The higher ones of the nearest cubes of ceiling count, because ducts and lamps hang below it.
+        The higher ones of the nearest cubes of ceiling count: ducts and lamps hang below it.
         """
         if len(self.ceiling) < 10 or not len(places):
             return np.full(len(places), np.nan)

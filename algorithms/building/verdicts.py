@@ -89,7 +89,6 @@ _REFUSED_LABELS = np.full(len(FaceVerdict), Label.CLUTTER, np.uint8)
 _REFUSED_LABELS[FaceVerdict.OUTSIDE] = Label.OUTSIDE
 
 
-
 def join_in_line(walls: Walls, apart_m: float, gap_m: float) -> Walls:
     """Faces of one wall as one: in line, up to `apart_m`, and no farther apart than `gap_m`."""
     joined = NO_WALLS

@@ -1,6 +1,5 @@
 """Windows of the building, and what was seen through them."""
 
-
 import numba
 import numpy as np
 
