@@ -494,7 +494,7 @@ def sweep(
     Examples:
 
     ```
-    ffmap sweep drive.bag --grid foreground.relief_m=0.006,0.04 --grid building.length_min_m=0.25,0.8
+    ffmap sweep drive.bag --grid foreground.relief_m=0.01,0.04 --grid building.length_min_m=0.25,0.8
     ffmap sweep a.bag b.bag --grid relabelling.range_noise_m=0.01..0.04 --optuna 30
     ffmap sweep drive.bag --grid seed=0,1,2,3 --scheduler tcp://127.0.0.1:8786
     ```

@@ -31,8 +31,8 @@ def fuse_walls(features: Features, settings: BuildingSettings) -> Walls:
     The planes join largest first, each the wall face of the same side that it fits; moments add up,
     so that a wall's place is the least-squares one over all its scans. A part that fewer than
     `scans_min` scans bear out is dropped, and a wall with a long gap becomes two. A plane that grew
-    over a step, as from a wall to the soffit before it, is tilted: such planes join last, and do
-    not move a wall that others show.
+    over a step, as from a wall to the soffit before it, is tilted: it only joins a wall that others
+    show, and does not move it.
     """
     if not len(features.plane_moments):
         return NO_WALLS
@@ -60,8 +60,8 @@ def _faces_of(
 
     members, mixed: (m,) its planes, and which of them hold parts of two surfaces.
     """
-    fitted = members if mixed.all() else members[~mixed]
-    nx, ny, offset, rms, _ = fit_upright_plane(features.plane_moments[fitted].sum(axis=0))
+    moments = features.plane_moments[members[~mixed]].sum(axis=0)
+    nx, ny, offset, rms, _ = fit_upright_plane(moments)
     normal = np.array([nx, ny])
     if np.sum(features.plane_normal[members] @ normal) < 0:
         normal, offset = -normal, -offset
@@ -101,13 +101,12 @@ def _join(
     distance_m: float,
     gap_m: float,
 ) -> IntArray:  # pragma: no cover
-    """The fused wall of each plane, numbered from 0."""
+    """The fused wall of each plane, numbered from 0; -1 where it is none's."""
     count = len(order)
     wall = np.full(count, -1, np.int64)
     total = np.zeros((count, 6))
     facing = np.zeros((count, 2))
     fit = np.zeros((count, 5))  # normal x, y, offset, lowest and highest place along it
-    shown = np.zeros(count, np.bool_)  # by a plane of one surface
     walls = 0
     for position in range(count):
         p = order[position]
@@ -125,12 +124,13 @@ def _join(
             if far < nearest and max(low, fit[w, 3]) - min(high, fit[w, 4]) < gap_m:
                 best, nearest = w, far
         if best < 0:
+            if mixed[p]:
+                continue
             best = walls
             walls += 1
             fit[best, 3], fit[best, 4] = np.inf, -np.inf
         wall[p] = best
-        shown[best] |= not mixed[p]
-        if not (mixed[p] and shown[best]):
+        if not mixed[p]:
             total[best] += moments[p]
         old = fit[best].copy()
         nx, ny, offset, _, _ = fit_upright_plane(total[best])

@@ -1,7 +1,7 @@
 """The building from all scans: which faces are walls, their doors and windows.
 
-planes of all scans ── fuse, align ─┐
-returns of all scans ── lines ──────┴── trace ── parse ── judge ── walls, doors, windows
+planes of all scans ── fuse ──┐
+returns of all scans ── lines ┴── trace ── parse ── judge ── walls, doors, windows
                                                    └── again, without rays through panes
 """
 
@@ -14,11 +14,6 @@ from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_re
 from ffmap.algorithms.building.doors import are_passages, each_once, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.evidence import ON
-from ffmap.algorithms.building.face_alignment import (
-    AlignedFaces,
-    FaceAlignmentSettings,
-    align_faces,
-)
 from ffmap.algorithms.building.face_foreground import (
     ForegroundSettings,
     bare_foreground,
@@ -95,7 +90,6 @@ class FusionSettings:
 
     building: BuildingSettings
     levels: LevelsSettings
-    face_alignment: FaceAlignmentSettings
     parse: ParseSettings
     standing_walls: StandingWallsSettings
     unseen_walls: UnseenWallsSettings
@@ -110,7 +104,7 @@ class FusionSettings:
 class Building:
     """All that is made of all scans together.
 
-    model: what scans are labelled by. aligned: the faces before any was judged. parsed: the walls
+    model: what scans are labelled by. fused: the faces before any was judged. parsed: the walls
     but for low ones, with what rays found of them. refused: the same of refused faces, but for
     those that were not parsed.
     thickness_m: (W,) of the walls.
@@ -119,7 +113,7 @@ class Building:
     model: BuildingModel
     parsed: ParsedFaces
     refused: ParsedFaces
-    aligned: AlignedFaces
+    fused: Walls
     thickness_m: FloatArray
 
 
@@ -129,14 +123,14 @@ class _Candidates:
 
     faces: first those that scans see as planes, `planes` of them, then lines that only all scans
     together show, from both sides: `straight` along the walls' directions, then of any direction.
-    leaves: planes that lean on others.
+    leaves: planes that lean on others. fused: all planes.
     """
 
     faces: Walls
     planes: int
     straight: int
     leaves: Walls
-    aligned: AlignedFaces
+    fused: Walls
 
     @property
     def lines(self) -> IntArray:
@@ -201,24 +195,23 @@ def fuse_building(scans: AllScans, settings: FusionSettings) -> Building:
         passages=placed.select(passed),
     )
     of_refused = clear.faces.part(refused.support.runs)
-    return Building(model, parsed, of_refused, candidates.aligned, thickness_m)
+    return Building(model, parsed, of_refused, candidates.fused, thickness_m)
 
 
 def _find_candidates(scans: AllScans, settings: FusionSettings) -> _Candidates:
     """The planes of all scans, fused, and lines of returns that none of these explains."""
     planes = concatenate([without_rays(features) for features in scans.drive.blocks()])
-    aligned = _align(fuse_walls(planes, settings.building), scans, settings)
-    # A leaf that leans on its wall would be laid along it.
-    leaning = leaning_on_others(aligned.fused)
-    leaves, faces = aligned.walls.select(leaning), aligned.walls.select(~leaning)
+    fused = fuse_walls(planes, settings.building)
+    leaning = leaning_on_others(fused)
+    leaves, faces = fused.select(leaning), fused.select(~leaning)
     faces = join_in_line(faces, settings.building.own_plane_m, settings.building.gap_m)
     faces = join_corners(faces, faces, settings.standing_walls)
     known = faces.append(leaves)
     columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
-    straight = _align(_straight_lines(columns, known, scans, settings), scans, settings).walls
-    chords = _align(_chords(columns, scans, settings), scans, settings).walls
-    lines = join_corners(straight.append(chords), faces, settings.standing_walls)
-    return _Candidates(faces.append(lines), len(faces), len(straight), leaves, aligned)
+    straight = _straight_lines(columns, known, scans, settings)
+    lines = straight.append(_chords(columns, scans, settings))
+    lines = join_corners(lines, faces, settings.standing_walls)
+    return _Candidates(faces.append(lines), len(faces), len(straight), leaves, fused)
 
 
 def _straight_lines(
@@ -243,10 +236,6 @@ def _reaches_up(places: FloatArray, top_m: FloatArray, storey: Storey) -> BoolAr
     """(k,) whether what stands at places (k, 2) reaches as high as walls do."""
     clear_m = storey.clear_m(places, CEILING_NEAR_M)
     return np.asarray(top_m > np.fmin(clear_m - _BELOW_CEILING_M, _WALL_M))
-
-
-def _align(faces: Walls, scans: AllScans, settings: FusionSettings) -> AlignedFaces:
-    return align_faces(faces, scans.votes, scans.storey, settings.face_alignment)
 
 
 def _parse(traced: TracedFaces, scans: AllScans, settings: FusionSettings) -> _Parsed:

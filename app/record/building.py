@@ -10,11 +10,10 @@ from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import FloatArray, UInt8Array
 from ffmap.algorithms.base.segments import lengths_m, moved
 from ffmap.algorithms.building.evidence import BEYOND
-from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import covered_places
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.heights import HeightMap
-from ffmap.algorithms.building.model import CELL_M, Doors
+from ffmap.algorithms.building.model import CELL_M, Doors, Walls
 from ffmap.algorithms.building.settle import ParsedFaces
 from ffmap.algorithms.building.verdicts import JudgedFaces
 from ffmap.algorithms.maps.grid import Cell, GridMap
@@ -68,19 +67,17 @@ def log_map_block(
     _log_split(log, MAP_POINTS, "/world/map/ceiling", points_map, label, static=False)
 
 
-def log_fused_walls(log: Log, aligned: AlignedFaces) -> None:
-    """Log each wall face as it was before its alignment to the returns of all scans."""
-    fused = aligned.fused
+def log_fused_walls(log: Log, fused: Walls) -> None:
+    """Log the wall planes of all scans, fused, before any was judged."""
     if not len(fused):
         return
     labels = [
-        f"before alignment to all returns ({scans} scans): its ends then moved "
-        f"{100 * a:+.1f} and {100 * b:+.1f} cm towards the room"
-        for scans, (a, b) in zip(fused.scan_count, aligned.moved_m, strict=True)
+        f"fused from wall planes of {scans} scans, {1000 * rms_m:.0f} mm rms"
+        for scans, rms_m in zip(fused.scan_count, fused.rms_m, strict=True)
     ]
     lines = strips(at_height(fused.ends, 0.0), _FUSED_COLOR, 1.0, labels, show_labels=False)
-    moves = evidence(moved_m=aligned.moved_m, scan_count=fused.scan_count)
-    log.static("/world/building/fused_walls", lines, moves)
+    values = evidence(scan_count=fused.scan_count, rms_m=fused.rms_m)
+    log.static("/world/building/fused_walls", lines, values)
 
 
 def log_building(log: Log, building: BuildingModel) -> None:

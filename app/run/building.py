@@ -62,7 +62,7 @@ def fuse_all_scans(
     evidence = AllScans(drive, votes, rivals, *traces, run.settings.levels)
     building = fuse_building(evidence, run.settings.fusion)
     if report.log is not None:
-        log_fused_walls(report.log, building.aligned)
+        log_fused_walls(report.log, building.fused)
         log_building(report.log, building.model)
         log_faces(report.log, building.parsed, building.refused, building.model.judged)
     return building, evidence

@@ -16,7 +16,6 @@ from pydantic import Field, ValidationError
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
-from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
@@ -121,7 +120,6 @@ class Settings(StepSettings):
     doors: DoorsSettings = DoorsSettings()
     building: BuildingSettings = BuildingSettings()
     levels: LevelsSettings = LevelsSettings()
-    face_alignment: FaceAlignmentSettings = FaceAlignmentSettings()
     standing_walls: StandingWallsSettings = StandingWallsSettings()
     parse: ParseSettings = ParseSettings()
     unseen_walls: UnseenWallsSettings = UnseenWallsSettings()

@@ -61,14 +61,11 @@ def test_planes_that_grew_over_a_step_do_not_move_a_wall_that_others_show(order:
     assert fuse_walls(features, SETTINGS).scan_count.tolist() == [17]
 
 
-def test_a_wall_that_such_planes_alone_show_is_where_they_are() -> None:
-    elsewhere = features_of(*[WALL] * 20)
-    own = features_of(*[(3.0, 3.05)] * 4, steps_m=0.03)
+def test_such_planes_alone_are_no_wall() -> None:
+    """All rays together show what is there; what scatters no more than the others is a wall."""
     both = features_of(*[WALL] * 20, *[(3.0, 3.05)] * 4, steps_m=0.03)
-    assert len(fuse_walls(elsewhere, SETTINGS)) == len(fuse_walls(own, SETTINGS)) == 1
-    walls = fuse_walls(both, SETTINGS)
-    assert walls.scan_count.tolist() == [20, 4]
-    np.testing.assert_allclose(np.sort(walls.ends[1, :, 1]), [3.0, 3.05], atol=0.001)
+    assert fuse_walls(both, SETTINGS).scan_count.tolist() == [20]
+    assert len(fuse_walls(features_of(*[WALL] * 20, *[(3.0, 3.05)] * 4), SETTINGS)) == 2
 
 
 def test_no_planes_are_no_walls() -> None:

@@ -12,7 +12,6 @@ from ffmap.algorithms.base.votes import VoxelTable
 from ffmap.algorithms.building import fusion
 from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
-from ffmap.algorithms.building.face_alignment import FaceAlignmentSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import Building, FusionSettings, fuse_building
@@ -36,7 +35,6 @@ from tests.voting import vote
 SETTINGS = FusionSettings(
     BuildingSettings(),
     LevelsSettings(),
-    FaceAlignmentSettings(),
     ParseSettings(),
     StandingWallsSettings(),
     UnseenWallsSettings(),

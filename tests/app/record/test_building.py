@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from ffmap.algorithms.building.evidence import BEYOND, ON
-from ffmap.algorithms.building.face_alignment import AlignedFaces
 from ffmap.algorithms.building.face_foreground import Foreground
 from ffmap.algorithms.building.final_labels import BuildingModel
 from ffmap.algorithms.building.heights import HeightMap, Surface
@@ -160,15 +159,14 @@ def test_panes_and_low_walls_are_told_from_windows(tmp_path):
     assert rows_of(document, "Low walls")[0]["rms (m)"] == "0.006"
 
 
-def test_faces_are_drawn_as_they_were_before_they_were_laid_along_all_returns(tmp_path):
-    fused = replace(WALLS, ends=WALLS.ends + 0.02)
-    moved = AlignedFaces(WALLS, fused, np.array([[-0.02, 0.013]]))
+def test_fused_planes_are_drawn_before_any_is_judged(tmp_path):
+    fused = replace(WALLS, rms_m=np.array([0.013]))
     with open_part(tmp_path / "faces.rrd", "run-4") as stream:
-        log_fused_walls(Log(stream), moved)
+        log_fused_walls(Log(stream), fused)
     found = static(tmp_path / "faces.rrd")["/world/building/fused_walls"]
-    moves = "its ends then moved -2.0 and +1.3 cm towards the room"
-    assert moves in str(found["labels"])
-    np.testing.assert_allclose(found["moved_m"][0], [[-0.02, 0.013]], rtol=1e-6)
+    scans = int(fused.scan_count[0])
+    assert f"fused from wall planes of {scans} scans, 13 mm rms" in str(found["labels"])
+    np.testing.assert_allclose(found["rms_m"][0], [0.013], rtol=1e-6)
 
 
 def test_map_trajectory_and_messages(tmp_path):
