@@ -1,17 +1,14 @@
 """Where doors' jambs, heads and reveals are, to a centimetre."""
 
-from collections import namedtuple
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from pydantic import Field
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
 from ffmap.algorithms.base.segments import lengths_m, segments
-from ffmap.algorithms.base.settings import StepSettings
 from ffmap.algorithms.building.model import (
     AT_FACE_M,
     CELL_M,
@@ -26,61 +23,22 @@ from ffmap.algorithms.scan.summary import Features
 
 _BIN_M = 0.01
 """The places that an edge of an opening may have lie this far apart."""
-
-
-class DoorFramesSettings(StepSettings):
-    """Measuring doors' jambs, heads and reveals to a centimetre."""
-
-    jamb_reach_m: float = Field(
-        0.2,
-        gt=0,
-        le=1,
-        description="Maximum distance (m) of a jamb from where the face's cells show it.",
-    )
-    from_m: float = Field(
-        0.3,
-        gt=0,
-        description="Least distance (m) of a scan before the face: nearer ones see it aslant.",
-    )
-    to_m: float = Field(
-        6.0,
-        gt=0,
-        description="Greatest distance (m) of a scan before the face: others have few rays.",
-    )
-    corner_m: float = Field(
-        0.15,
-        ge=0,
-        description="Closer to a jamb (m) rays tell nothing of the head, and the reverse.",
-    )
-    foot_m: float = Field(
-        0.2,
-        ge=0,
-        description="Lower above the floor (m) sills, stops and thresholds stand in the doorway.",
-    )
-    underside_m: float = Field(
-        0.08,
-        gt=0,
-        description="Distance (m) from a door's head of what may be its lintel's underside.",
-    )
-    behind_max_m: float = Field(
-        0.1,
-        gt=0,
-        description="Greatest depth (m) behind the face that a ray through it counts with.",
-    )
-    rays_min: int = Field(
-        30,
-        ge=1,
-        description="Minimum rays on the face, and behind it, that place a jamb or a head.",
-    )
-    reveal_max_m: float = Field(
-        0.7, gt=0, le=5, description="Maximum depth (m) of a door's reveals."
-    )
-
-
-if TYPE_CHECKING:
-    _Rules = DoorFramesSettings
-else:  # compiled code takes named tuples
-    _Rules = namedtuple("_Rules", DoorFramesSettings.model_fields)
+_JAMB_REACH_M = 0.2
+"""Greatest distance (m) of a jamb from where the face's cells show it."""
+_FROM_M, _TO_M = 0.3, 6.0
+"""Distances (m) of scans before the face: nearer ones see it aslant, others have few rays there."""
+_CORNER_M = 0.15
+"""Closer to a jamb (m) rays tell nothing of the head, and the reverse."""
+_FOOT_M = 0.2
+"""Lower above the floor (m) sills, stops and thresholds stand in the doorway."""
+_UNDERSIDE_M = 0.08
+"""Greatest distance (m) from a door's head of returns from its lintel's underside."""
+_BEHIND_MAX_M = 0.1
+"""Greatest depth (m) behind the face that a ray through it counts with."""
+_RAYS_MIN = 30
+"""Least rays on the face, and behind it, that place a jamb or a head."""
+_REVEAL_MAX_M = 0.7
+"""Greatest depth (m) of a door's reveals."""
 
 
 class _Frames(NamedTuple):
@@ -113,10 +71,8 @@ class _Evidence(NamedTuple):
     scans: IntArray
 
     @classmethod
-    def none(
-        cls, doors: int, heads_m: tuple[float, float], settings: DoorFramesSettings
-    ) -> "_Evidence":
-        jamb_bins = 1 + round(2 * settings.jamb_reach_m / _BIN_M)
+    def none(cls, doors: int, heads_m: tuple[float, float]) -> "_Evidence":
+        jamb_bins = 1 + round(2 * _JAMB_REACH_M / _BIN_M)
         head_bins = round((heads_m[1] - heads_m[0]) / _BIN_M)
         return cls(
             np.zeros((doors, 2, jamb_bins)),
@@ -132,7 +88,6 @@ def place_frames(
     walls: Walls,
     blocks: Iterable[Features],
     building: BuildingSettings,
-    settings: DoorFramesSettings,
 ) -> Doors:
     """The doors with jambs and head to a centimetre, and with the scans that saw these.
 
@@ -143,31 +98,29 @@ def place_frames(
     walls: those that `doors.wall` counts.
     """
     heads_m = building.door_height_min_m - 2.0 * CELL_M, building.door_height_max_m + 2.0 * CELL_M
-    evidence = _Evidence.none(len(doors), heads_m, settings)
+    evidence = _Evidence.none(len(doors), heads_m)
     frames = _Frames(
         np.ascontiguousarray(doors.ends, np.float64),
         np.ascontiguousarray(doors.head_m, np.float64),
         np.isnan(doors.depth_m),
-        np.fmin(doors.depth_m, settings.behind_max_m),
+        np.fmin(doors.depth_m, _BEHIND_MAX_M),
         np.ascontiguousarray(walls.ends[doors.wall], np.float64),
         np.ascontiguousarray(walls.normal[doors.wall], np.float64),
     )
-    rules, own = _Rules(**settings.model_dump()), OwnPlane.of(building)
+    own = OwnPlane.of(building)
     for block in blocks:
         _compare_with_frames(
-            frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, heads_m, rules
+            frames, evidence, np.asarray(block.scan, np.int64), Rays.of(block), own, heads_m
         )
     ends, head_m = doors.ends.copy(), doors.head_m.copy()
     for d, doorway in enumerate(segments(doors)):
         if doors.depth_m[d] <= 0.0:
             continue  # Its leaf is flush, or hangs before the wall, and looks as that does.
         for side, outwards in ((0, -1.0), (1, 1.0)):
-            edge_m = _edge_m(
-                evidence.jamb_cost_m[d, side], evidence.jamb_rays[d, side], settings.rays_min
-            )
+            edge_m = _edge_m(evidence.jamb_cost_m[d, side], evidence.jamb_rays[d, side], _RAYS_MIN)
             if edge_m is not None:
-                ends[d, side] += outwards * doorway.along * (edge_m - settings.jamb_reach_m)
-        edge_m = _edge_m(evidence.head_cost_m[d], evidence.head_rays[d], settings.rays_min)
+                ends[d, side] += outwards * doorway.along * (edge_m - _JAMB_REACH_M)
+        edge_m = _edge_m(evidence.head_cost_m[d], evidence.head_rays[d], _RAYS_MIN)
         # Above the highest leaves it is the recess that ends, which holds an overlight too.
         highest_m = np.inf if frames.is_open[d] else building.door_height_max_m + CELL_M
         if edge_m is not None and heads_m[0] + edge_m < highest_m:
@@ -224,12 +177,10 @@ def _compare_with_frames(
     rays: Rays,
     own: OwnPlane,
     heads_m: tuple[float, float],
-    rules: _Rules,
 ) -> None:  # pragma: no cover
     ends, head_m, is_open, depth_m, wall_ends, wall_normal = frames
     jamb_cost_m, jamb_rays, head_cost_m, head_rays, scans = evidence
     origin, starts, ray_end, floors = rays.origin, rays.starts, rays.end, rays.floors
-    jamb_reach_m, corner_m = rules.jamb_reach_m, rules.corner_m
     for d in range(len(ends)):
         dx, dy = ends[d, 1, 0] - ends[d, 0, 0], ends[d, 1, 1] - ends[d, 0, 1]
         length = np.sqrt(dx * dx + dy * dy)
@@ -242,7 +193,7 @@ def _compare_with_frames(
                 not is_open[d]
                 and abs(ox * dx + oy * dy - 0.5 * length) > 2.0 * reach + 0.5 * length
             )
-            if aslant or reach < rules.from_m or reach > rules.to_m:
+            if aslant or reach < _FROM_M or reach > _TO_M:
                 continue
             nx, ny, offset, start, stop = own_plane(wall_ends[d], wall_normal[d], rays, s, own)
             wx, wy = ends[d, 0, 0] - wall_ends[d, 0, 0], ends[d, 0, 1] - wall_ends[d, 0, 1]
@@ -251,7 +202,7 @@ def _compare_with_frames(
                 offset = nx * wall_ends[d, 0, 0] + ny * wall_ends[d, 0, 1]
             offset -= nx * ends[d, 0, 0] + ny * ends[d, 0, 1]
             reach = nx * ox + ny * oy - offset
-            if reach < rules.from_m:
+            if reach < _FROM_M:
                 continue
             saw = False
             for r in range(starts[s], starts[s + 1]):
@@ -267,26 +218,26 @@ def _compare_with_frames(
                     origin[s, 2] + t * (ray_end[r, 2] - origin[s, 2]),
                 )
                 u = x * dx + y * dy
-                if u < -jamb_reach_m or u > length + jamb_reach_m:
+                if u < -_JAMB_REACH_M or u > length + _JAMB_REACH_M:
                     continue
                 height = z - floor_m(floors, s, ray_end[r, 0], ray_end[r, 1])
                 kind = 0 if -side < min(0.5 * depth_m[d], ON_FACE_M) else 1
                 end_m = min(max(-side, -depth_m[d]), depth_m[d])
-                if corner_m < u < length - corner_m and heads_m[0] < height < heads_m[1]:
+                if _CORNER_M < u < length - _CORNER_M and heads_m[0] < height < heads_m[1]:
                     head_rays[d, kind] += 1
                     rise = (z - origin[s, 2]) / reach
                     _add_costs(head_cost_m[d], heads_m[0], height, rise, end_m, depth_m[d])
-                if height < rules.foot_m or height > head_m[d] - corner_m:
+                if height < _FOOT_M or height > head_m[d] - _CORNER_M:
                     continue
                 saw = True
                 sideways = (u - (ox * dx + oy * dy)) / reach
-                if u < jamb_reach_m:
+                if u < _JAMB_REACH_M:
                     jamb_rays[d, 0, kind] += 1
-                    _add_costs(jamb_cost_m[d, 0], -jamb_reach_m, -u, -sideways, end_m, depth_m[d])
-                if u > length - jamb_reach_m:
+                    _add_costs(jamb_cost_m[d, 0], -_JAMB_REACH_M, -u, -sideways, end_m, depth_m[d])
+                if u > length - _JAMB_REACH_M:
                     jamb_rays[d, 1, kind] += 1
                     _add_costs(
-                        jamb_cost_m[d, 1], -jamb_reach_m, u - length, sideways, end_m, depth_m[d]
+                        jamb_cost_m[d, 1], -_JAMB_REACH_M, u - length, sideways, end_m, depth_m[d]
                     )
             if saw:
                 scans[d, 0] += 1
@@ -294,9 +245,7 @@ def _compare_with_frames(
                 scans[d, 2] = scan[s]
 
 
-def measure_reveals(
-    doors: Doors, blocks: Iterable[Features], settings: DoorFramesSettings
-) -> Doors:
+def measure_reveals(doors: Doors, blocks: Iterable[Features]) -> Doors:
     """The doors with the depth of their reveals, by the returns of the underside of each lintel.
 
     Nothing else hangs in a doorway at the height of its head; the leaf's edge stands beside a jamb,
@@ -304,12 +253,10 @@ def measure_reveals(
     """
     # The underside shows over most of eight parts of the door's width; the edge of a leaf that is
     # ajar does not.
-    counts = np.zeros((len(doors), int(settings.reveal_max_m / _BIN_M), 8), np.int64)
-    length_m, rules = lengths_m(doors.ends), _Rules(**settings.model_dump())
+    counts = np.zeros((len(doors), int(_REVEAL_MAX_M / _BIN_M), 8), np.int64)
+    length_m = lengths_m(doors.ends)
     for block in blocks:
-        _count_undersides(
-            doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block), rules
-        )
+        _count_undersides(doors.ends, doors.normal, length_m, doors.head_m, counts, Rays.of(block))
     reveal_m = doors.reveal_m.copy()
     for d in range(len(doors)):
         # As deep as returns follow each other without a gap, over most of the width: the upper edge
@@ -332,12 +279,11 @@ def _count_undersides(
     head_m: FloatArray,
     counts: IntArray,
     rays: Rays,
-    rules: _Rules,
 ) -> None:  # pragma: no cover
     if not len(ends):
         return
-    bins, corner_m = counts.shape[1], rules.corner_m
-    lowest_m, highest_m = head_m.min() - rules.underside_m, head_m.max() + rules.underside_m
+    bins = counts.shape[1]
+    lowest_m, highest_m = head_m.min() - _UNDERSIDE_M, head_m.max() + _UNDERSIDE_M
     starts, ray_end, floors = rays.starts, rays.end, rays.floors
     for s in range(len(starts) - 1):
         for r in range(starts[s], starts[s + 1]):
@@ -345,7 +291,7 @@ def _count_undersides(
             if height < lowest_m or height > highest_m:
                 continue
             for d in range(len(ends)):
-                if abs(height - head_m[d]) > rules.underside_m:
+                if abs(height - head_m[d]) > _UNDERSIDE_M:
                     continue
                 x, y = ray_end[r, 0] - ends[d, 0, 0], ray_end[r, 1] - ends[d, 0, 1]
                 behind = -(normal[d, 0] * x + normal[d, 1] * y)
@@ -354,6 +300,6 @@ def _count_undersides(
                 u = (
                     (ends[d, 1, 0] - ends[d, 0, 0]) * x + (ends[d, 1, 1] - ends[d, 0, 1]) * y
                 ) / length_m[d]
-                inner = (u - corner_m) / (length_m[d] - 2 * corner_m)
+                inner = (u - _CORNER_M) / (length_m[d] - 2 * _CORNER_M)
                 if 0.0 <= inner < 1.0:
                     counts[d, int(behind / _BIN_M), int(inner * counts.shape[2])] += 1

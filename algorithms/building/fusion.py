@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, IntArray
-from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
+from ffmap.algorithms.building.door_frames import measure_reveals, place_frames
 from ffmap.algorithms.building.doors import are_passages, each_once, prove_crossed
 from ffmap.algorithms.building.drive import AllScans
 from ffmap.algorithms.building.evidence import ON
@@ -95,7 +95,6 @@ class FusionSettings:
     unseen_walls: UnseenWallsSettings
     low_walls: LowWallsSettings
     foreground: ForegroundSettings
-    door_frames: DoorFramesSettings
     wall_thickness: WallThicknessSettings
     relabelling: RelabellingSettings
 
@@ -317,10 +316,10 @@ def _is_outside(seen: _Parsed, clear: _Parsed, w: int) -> bool:
 def _place_doors(doors: Doors, walls: Walls, scans: AllScans, settings: FusionSettings) -> Doors:
     """The doors with their edges to a centimetre, each once, and how deep they are."""
     blocks = scans.drive.blocks
-    doors = place_frames(doors, walls, blocks(), settings.building, settings.door_frames)
+    doors = place_frames(doors, walls, blocks(), settings.building)
     doors = prove_crossed(each_once(doors, settings.building), scans.path_map)
     through_m = doors.reveal_m
-    doors = measure_reveals(doors, blocks(), settings.door_frames)
+    doors = measure_reveals(doors, blocks())
     thickness = settings.wall_thickness
     parts, unknown_m = part_walls(walls, thickness), settings.building.reveal_m
     depth_m = door_depths(doors, walls, parts, thickness, unknown_m, through_m)

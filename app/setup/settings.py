@@ -15,7 +15,6 @@ from pydantic import Field, ValidationError
 
 from ffmap.algorithms.base.scan import ScanSettings
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
 from ffmap.algorithms.building.fusion import FusionSettings
@@ -125,7 +124,6 @@ class Settings(StepSettings):
     unseen_walls: UnseenWallsSettings = UnseenWallsSettings()
     low_walls: LowWallsSettings = LowWallsSettings()
     foreground: ForegroundSettings = ForegroundSettings()
-    door_frames: DoorFramesSettings = DoorFramesSettings()
     wall_thickness: WallThicknessSettings = WallThicknessSettings()
     grid_map: GridMapSettings = GridMapSettings()
     area_graph: AreaGraphSettings = AreaGraphSettings()

@@ -7,7 +7,7 @@ import pytest
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.trajectory import PlacedScan
-from ffmap.algorithms.building.door_frames import DoorFramesSettings, measure_reveals, place_frames
+from ffmap.algorithms.building.door_frames import measure_reveals, place_frames
 from ffmap.algorithms.building.drive import Drive
 from ffmap.algorithms.building.evidence import RECESS, first_columns
 from ffmap.algorithms.building.face_foreground import Foreground
@@ -39,7 +39,7 @@ from tests.drawing import draw_furniture_free
 from tests.faces import NO_BLINDS, NO_JUDGED_FACES, parsed
 from tests.tracing import traced_by
 
-SETTINGS, FRAMES = BuildingSettings(), DoorFramesSettings()
+SETTINGS = BuildingSettings()
 
 
 def openings_of(walls: Walls, features: Features) -> list[Opening]:
@@ -113,25 +113,25 @@ def test_the_building_has_its_walls_and_its_door(depth: float | None) -> None:
     doors = doors_of(openings, SETTINGS)
     assert doors.state.tolist() == [DoorState.OPEN if depth is None else DoorState.CLOSED]
     np.testing.assert_allclose(doors.ends[0].mean(axis=0), [-0.05, 2.0], atol=0.1)
-    exact = place_frames(doors, walls, [features], SETTINGS, FRAMES)
+    exact = place_frames(doors, walls, [features], SETTINGS)
     np.testing.assert_allclose(np.sort(exact.ends[0, :, 0]), [hole.x0, hole.x1], atol=0.02)
     np.testing.assert_allclose(exact.ends[0, :, 1], doors.ends[0, :, 1], atol=0.01)
     assert exact.head_m[0] == pytest.approx(2.1, abs=0.02)
     # However wrong the head was before.
     far_off = replace(doors, head_m=np.array([2.4]))
-    placed = place_frames(far_off, walls, [features], SETTINGS, FRAMES)
+    placed = place_frames(far_off, walls, [features], SETTINGS)
     assert placed.head_m[0] == exact.head_m[0]
     # Evidence of a recessed door does not apply to one that is flush with its wall, or before it.
     for depth_m in (0.0, -0.05):
         back = np.array([0.0, depth_m])
         closed = replace(doors, depth_m=np.array([depth_m]), ends=doors.ends - back)
         behind = replace(walls, ends=walls.ends - back)
-        kept = place_frames(closed, behind, [features], SETTINGS, FRAMES)
+        kept = place_frames(closed, behind, [features], SETTINGS)
         np.testing.assert_array_equal(kept.ends, closed.ends)
         assert kept.head_m[0] == doors.head_m[0]
         assert kept.scan_count[0] > 0
     # The wall has no thickness here: its lintel's underside is the edge's scatter.
-    assert measure_reveals(doors, [features], FRAMES).reveal_m[0] < 0.1
+    assert measure_reveals(doors, [features]).reveal_m[0] < 0.1
     windows = windows_of(openings)
     assert len(windows) == 0
     if depth is not None:
@@ -173,7 +173,7 @@ def test_the_underside_of_a_lintel_shows_the_depth_of_a_reveal() -> None:
     leaf = generator.uniform([0.8, 2.2, 2.05], [0.84, 2.6, 2.1], (3_000, 3))
     rays = np.concatenate([underside, leaf]).astype(np.float32)
     features = of_rays(rays)
-    assert measure_reveals(door, [features], FRAMES).reveal_m[0] == pytest.approx(0.18, abs=0.025)
+    assert measure_reveals(door, [features]).reveal_m[0] == pytest.approx(0.18, abs=0.025)
 
 
 def of_rays(rays: np.ndarray, **planes: np.ndarray) -> Features:
@@ -211,7 +211,16 @@ def test_a_scans_own_plane_is_used_only_where_the_scan_saw_it(
     )
     ends, normal = np.array([[[0.0, 2.0], [6.0, 2.0]]]), np.array([[0.0, -1.0]])
     ones = np.ones(1, np.int32)
-    wall = Walls(ends, normal, np.zeros(1), np.full(1, 2.8), ones, np.zeros(1), 900 * ones, unknown_support(1))
+    wall = Walls(
+        ends,
+        normal,
+        np.zeros(1),
+        np.full(1, 2.8),
+        ones,
+        np.zeros(1),
+        900 * ones,
+        unknown_support(1),
+    )
     evidence = traced_by(wall, features)
     filled = evidence.ended[..., : RECESS + 1].sum(axis=(1, 2))
     total = evidence.depth_sum[..., : RECESS + 1].sum(axis=(1, 2))

@@ -10,7 +10,6 @@ from ffmap.algorithms.base.scan import FloatArray
 from ffmap.algorithms.base.segments import lengths_m
 from ffmap.algorithms.base.votes import VoxelTable
 from ffmap.algorithms.building import fusion
-from ffmap.algorithms.building.door_frames import DoorFramesSettings
 from ffmap.algorithms.building.drive import AllScans, Drive
 from ffmap.algorithms.building.face_foreground import ForegroundSettings
 from ffmap.algorithms.building.final_labels import RelabellingSettings
@@ -40,7 +39,6 @@ SETTINGS = FusionSettings(
     UnseenWallsSettings(),
     LowWallsSettings(),
     ForegroundSettings(),
-    DoorFramesSettings(),
     WallThicknessSettings(),
     RelabellingSettings(),
 )
