@@ -68,8 +68,6 @@ from ffmap.algorithms.building.verdicts import (
     StandingWallsSettings,
     along_others,
     join_corners,
-    join_in_line,
-    leaning_on_others,
     wall_directions,
 )
 from ffmap.algorithms.building.windows import (
@@ -122,13 +120,12 @@ class _Candidates:
 
     faces: first those that scans see as planes, `planes` of them, then lines that only all scans
     together show, from both sides: `straight` along the walls' directions, then of any direction.
-    leaves: planes that lean on others. fused: all planes.
+    fused: all planes.
     """
 
     faces: Walls
     planes: int
     straight: int
-    leaves: Walls
     fused: Walls
 
     @property
@@ -201,16 +198,12 @@ def _find_candidates(scans: AllScans, settings: FusionSettings) -> _Candidates:
     """The planes of all scans, fused, and lines of returns that none of these explains."""
     planes = concatenate([without_rays(features) for features in scans.drive.blocks()])
     fused = fuse_walls(planes, settings.building)
-    leaning = leaning_on_others(fused)
-    leaves, faces = fused.select(leaning), fused.select(~leaning)
-    faces = join_in_line(faces, settings.building.own_plane_m, settings.building.gap_m)
-    faces = join_corners(faces, faces, settings.standing_walls)
-    known = faces.append(leaves)
-    columns = unexplained_columns(scans.votes, known, settings.unseen_walls)
-    straight = _straight_lines(columns, known, scans, settings)
+    faces = join_corners(fused, fused, settings.standing_walls)
+    columns = unexplained_columns(scans.votes, faces, settings.unseen_walls)
+    straight = _straight_lines(columns, faces, scans, settings)
     lines = straight.append(_chords(columns, scans, settings))
     lines = join_corners(lines, faces, settings.standing_walls)
-    return _Candidates(faces.append(lines), len(faces), len(straight), leaves, fused)
+    return _Candidates(faces.append(lines), len(faces), len(straight), fused)
 
 
 def _straight_lines(
@@ -293,7 +286,6 @@ def _judge(
     within = room_before(judged.walls, scans.storey) & ~outside[number]
     beyond = judged.walls.select(~within)
     judged = replace(judged, walls=judged.walls.select(within))
-    judged = judged.refuse(candidates.leaves, FaceVerdict.LEANS)
     judged = judged.refuse(beyond, FaceVerdict.OUTSIDE)
     runs = [run for run, stands in zip(runs, within, strict=True) if stands]
     unseen, more = walls_of(

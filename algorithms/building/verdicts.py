@@ -1,4 +1,4 @@
-"""Verdicts on faces: which stand, and which lean, are alone, or belong to another house."""
+"""Verdicts on faces: which stand, and which are alone, or belong to another house."""
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -8,9 +8,9 @@ from pydantic import Field
 
 from ffmap.algorithms.base.labels import Label
 from ffmap.algorithms.base.scan import BoolArray, FloatArray, UInt8Array
-from ffmap.algorithms.base.segments import Faces, lengths_m, segment, segments
+from ffmap.algorithms.base.segments import Faces, lengths_m, segments
 from ffmap.algorithms.base.settings import StepSettings
-from ffmap.algorithms.building.model import NO_WALLS, Walls
+from ffmap.algorithms.building.model import Walls
 
 ACROSS = 0.5
 """Cosine of the angle between two faces below which one stands across the other."""
@@ -21,9 +21,6 @@ _ALONG = 0.99
 which the ends of half a metre may be off."""
 _CORNER_SINE_MIN = 0.3
 """Minimum sine of the angle between two faces that make a corner."""
-_LEANING_DEG, _LEANING_M, _LEANING_SHARE_MIN, _LEANING_SCANS_RATIO = (4.0, 20.0), 0.1, 0.9, 2.5
-"""A leaf that is open against its wall stands askew to it by so much, its middle so near, beside it
-over so much of its length, and far more scans see the wall."""
 
 
 class StandingWallsSettings(StepSettings):
@@ -60,9 +57,7 @@ class FaceVerdict(IntEnum):
     """Rays pass below it over a longer stretch than an opening has: a duct, a beam."""
     ALONE = 3
     """Few scans saw it, it runs along and across no others, and does not show as a wall."""
-    LEANS = 4
-    """It crosses a face that far more scans saw, at a small angle: a leaf open against its wall."""
-    OUTSIDE = 5
+    OUTSIDE = 4
     """Neither floor nor ceiling was seen before it: another house's front, through a window."""
 
 
@@ -87,36 +82,6 @@ class JudgedFaces:
 
 _REFUSED_LABELS = np.full(len(FaceVerdict), Label.CLUTTER, np.uint8)
 _REFUSED_LABELS[FaceVerdict.OUTSIDE] = Label.OUTSIDE
-
-
-def join_in_line(walls: Walls, apart_m: float, gap_m: float) -> Walls:
-    """Faces of one wall as one: in line, up to `apart_m`, and no farther apart than `gap_m`."""
-    joined = NO_WALLS
-    for w in np.argsort(-lengths_m(walls.ends), kind="stable"):
-        own = walls.one(w)
-        for k, face in enumerate(segments(joined)):
-            off_m = np.abs(face.before_m(own.ends[0])).max()
-            if face.normal @ own.normal[0] < SAME_WAY or off_m > apart_m:
-                continue
-            place_m = face.place_m(own.ends[0])
-            if max(float(place_m.min()) - face.length_m, -float(place_m.max())) > gap_m:
-                continue
-            reach = min(float(place_m.min()), 0.0), max(float(place_m.max()), face.length_m)
-            known = joined.one(k)
-            one = replace(
-                known,
-                ends=face.at(np.array(reach))[None],
-                bottom_m=np.minimum(known.bottom_m, own.bottom_m),
-                top_m=np.maximum(known.top_m, own.top_m),
-                scan_count=np.maximum(known.scan_count, own.scan_count),
-                sample_count=known.sample_count + own.sample_count,
-            )
-            others = np.arange(len(joined)) != k
-            joined = joined.select(others).append(one)
-            break
-        else:
-            joined = joined.append(own)
-    return joined
 
 
 def join_corners(walls: Walls, others: Walls, settings: StandingWallsSettings) -> Walls:
@@ -149,24 +114,6 @@ def along_others(faces: Faces, walls: Walls, settings: StandingWallsSettings) ->
     if not len(directions):
         return np.ones(len(faces.normal), bool)
     return np.asarray(np.abs(faces.normal @ directions.T).max(axis=1) > _ALONG)
-
-
-def leaning_on_others(walls: Walls) -> BoolArray:
-    """(W,) whether a face stands close to another all along, at an angle to it.
-
-    As a leaf does that is open against its wall: of the two far fewer scans saw it.
-    """
-    leans = np.zeros(len(walls), bool)
-    for w in range(len(walls)):
-        turn_deg = np.degrees(np.arccos(np.clip(walls.normal @ walls.normal[w], -1.0, 1.0)))
-        angled = (turn_deg > _LEANING_DEG[0]) & (turn_deg < _LEANING_DEG[1])
-        angled &= walls.scan_count > _LEANING_SCANS_RATIO * walls.scan_count[w]
-        for other in np.flatnonzero(angled):
-            face = segment(walls, other)
-            length_m = np.ptp(face.place_m(walls.ends[w]))
-            beside = face.shared_m(walls.ends[w]) > _LEANING_SHARE_MIN * length_m
-            leans[w] |= beside and abs(face.before_m(walls.ends[w].mean(axis=0))) < _LEANING_M
-    return leans
 
 
 def wall_directions(walls: Walls, share_min: float) -> FloatArray:

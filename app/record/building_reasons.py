@@ -16,7 +16,6 @@ REFUSALS: dict[int, str] = {
     FaceVerdict.HANGS: "it is open below over more than a doorway (a duct, a beam)",
     FaceVerdict.ALONE: "few scans saw it, no wall is parallel or square to it, it shows no wall "
     "up to the ceiling (a side of furniture)",
-    FaceVerdict.LEANS: "it crosses a face that far more scans saw, askew (an open leaf)",
     FaceVerdict.OUTSIDE: "neither floor nor ceiling was seen before it (a house across the street)",
 }
 """Why a face is not a wall."""

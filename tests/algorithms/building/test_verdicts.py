@@ -1,55 +1,59 @@
-"""Faces of one wall become one."""
+"""Faces end at the corners that they make, and have the directions of the building's walls."""
 
 import numpy as np
 import pytest
 
-from ffmap.algorithms.base.segments import lengths_m
-from ffmap.algorithms.building.model import Walls
-from ffmap.algorithms.building.verdicts import join_in_line
+from ffmap.algorithms.base.scan import FloatArray
+from ffmap.algorithms.building.verdicts import (
+    StandingWallsSettings,
+    join_corners,
+    wall_directions,
+)
 from tests.faces import Ends, faces
 
-APART_M, GAP_M = 0.03, 0.6
+SETTINGS = StandingWallsSettings()
 LONG: Ends = ((0.0, 0.0), (4.0, 0.0))
 
 
-def joined(*ends: Ends, turn_deg: float = 0.0) -> Walls:
+def turned(ends: FloatArray, turn_deg: float) -> FloatArray:
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
-    turned = np.array(ends) @ np.array([[c, s], [-s, c]])
-    return join_in_line(faces(*turned.tolist()), APART_M, GAP_M)
+    return np.asarray(ends @ np.array([[c, s], [-s, c]]) + np.array([3.0, -7.0]))
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 33.0, 170.0])
 @pytest.mark.parametrize(
-    ("other", "length_m"),
+    ("other", "end_m"),
     [
-        (((1.0, 0.02), (3.0, 0.0)), 4.0),
-        (((3.0, 0.0), (6.0, 0.02)), 6.0),
-        (((-2.0, 0.0), (-0.5, 0.0)), 6.0),
+        (((4.4, -1.0), (4.4, 3.0)), 4.4),
+        (((4.4, 0.3), (4.4, 3.0)), 4.4),
+        (((4.9, -1.0), (4.9, 3.0)), 4.0),
+        (((4.4, 1.0), (4.4, 3.0)), 4.0),
+        (((4.5, 0.1), (8.0, 0.1)), 4.0),
+        (((3.95, -1.0), (3.95, 3.0)), 4.0),
     ],
-    ids=["within", "overlapping", "beyond a short gap"],
+    ids=["across", "ends close by", "too far", "ends too far", "parallel", "reached"],
 )
-def test_faces_in_line_are_one(other: Ends, length_m: float, turn_deg: float) -> None:
-    for ends in ((LONG, other), (other, LONG)):
-        found = joined(*ends, turn_deg=turn_deg)
-        assert lengths_m(found.ends) == pytest.approx(length_m, abs=0.01)
-        assert found.sample_count.tolist() == [1800]
+def test_a_face_is_extended_to_the_corner_that_it_makes(
+    other: Ends, end_m: float, turn_deg: float
+) -> None:
+    walls = faces(*turned(np.array([LONG, other]), turn_deg).tolist())
+    found = join_corners(walls, walls, SETTINGS)
+    np.testing.assert_allclose(
+        found.ends[0], turned(np.array([[0.0, 0.0], [end_m, 0.0]]), turn_deg), atol=1e-9
+    )
+    back = join_corners(walls.select(np.array([1, 0])), walls, SETTINGS)
+    np.testing.assert_allclose(back.ends[1], found.ends[0], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        ((1.0, 0.05), (3.0, 0.05)),
-        ((3.0, 0.0), (1.0, 0.0)),
-        ((5.0, 0.0), (7.0, 0.0)),
-        ((1.0, -1.0), (1.0, 1.0)),
-    ],
-    ids=["before it", "its other side", "beyond a doorway", "across"],
-)
-def test_other_faces_stay(other: Ends) -> None:
-    assert len(joined(LONG, other)) == 2
+def test_the_nearest_of_several_corners_counts() -> None:
+    walls = faces(LONG, ((4.6, -1.0), (4.6, 3.0)), ((4.2, -1.0), (4.2, 3.0)))
+    assert join_corners(walls, walls, SETTINGS).ends[0, 1, 0] == pytest.approx(4.2)
 
 
-def test_several_faces_of_a_wall_are_one_and_no_face_is_none() -> None:
-    pieces = [((x, 0.0), (x + 1.2, 0.0)) for x in (0.0, 1.0, 2.0, 3.0)]
-    assert lengths_m(joined(*pieces).ends) == pytest.approx(4.2)
-    assert len(join_in_line(faces(LONG).select(slice(0, 0)), APART_M, GAP_M)) == 0
+@pytest.mark.parametrize("turn_deg", [0.0, 20.0, 120.0])
+def test_directions_are_those_of_most_of_the_walls_length(turn_deg: float) -> None:
+    ends = np.array([LONG, ((0.0, 0.0), (0.0, 3.0)), ((1.0, 1.0), (1.2, 1.2))])
+    normals = wall_directions(faces(*turned(ends, turn_deg).tolist()), 0.1)
+    assert len(normals) == 2
+    along = turned(ends, turn_deg)[0, 1] - turned(ends, turn_deg)[0, 0]
+    assert np.sort(np.abs(normals @ along)) == pytest.approx([0.0, 4.0], abs=1e-9)
