@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from types import FrameType
 
 _AGAIN_S = 0.05
-_BETWEEN = {"__enter__", "__exit__", "__del__"}
+_BETWEEN = {"__enter__", "__exit__"}
 """Functions that an exception must not end: a lock that `threading.Condition` has just taken would
-never be released, and a destructor drops it."""
+never be released."""
 _pressed = threading.Event()
 
 

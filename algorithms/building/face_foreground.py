@@ -29,12 +29,11 @@ from ffmap.algorithms.building.storey import Storey, TracedFaces, above_doors_m,
 from ffmap.algorithms.scan.doors import DoorState
 
 _AROUND, _FEW = 11, 8
-"""Columns over which the wall above doors is averaged where fewer of a cell's rays end on it."""
+"""Columns that count together above doors, and the returns of a cell that need no others."""
 _END_M, _CEILING_M = 0.1, 0.1
 """Distances (m) from a face's ends, and below the ceiling, where other surfaces return."""
 _LEAN = 0.005
-"""Standard deviation of a wall's lean, in metres per metre: DIN 18202 allows 8 mm on 3 m, and poses
-tilt by tenths of a degree."""
+"""Standard deviation of how much walls lean, and poses tilt (m per m): 0.3 degrees."""
 _FOOT_M = 0.3
 """Greatest height (m) of the foot of what stands on the floor; what is seen higher only hangs."""
 _ALL_OVER_MIN = 0.7
@@ -132,9 +131,9 @@ def _profile(
 ) -> tuple[FloatArray, FloatArray]:
     """(c, rows) mean distance of each cell's returns before the wall, and its weight (1/m²).
 
-    The wall is where it is above doors: there walls alone stand, and where a cell returned little
-    the columns around tell of it. What is deeper, or an opening, and what is farther before it
-    count as `ON_FACE_M`: a shelf is told by its back, not by its boards.
+    The wall is where it is above doors, since walls alone stand there. Cells there with few returns
+    count together with the columns around. Distances end at `ON_FACE_M`: a shelf's back tells more
+    than its boards. Openings, and what is deeper behind the wall, count as so far behind it.
     """
     height_m = _heights_m(count.shape[1])
     room_m = np.where(np.isfinite(clear_m), clear_m, np.inf)[:, None]
@@ -188,7 +187,7 @@ def _standing(
 def _steps(mean_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(c, rows) the step up to and with each row, and its odds (nats) against a line without.
 
-    The line of least squares in each column leans as little as walls do.
+    Both lines are of least squares, and lean as little as walls do.
     """
     height_m = _heights_m(weight.shape[1])
     total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-9)

@@ -121,9 +121,8 @@ def door_depths(
     thickness.
 
     doors: their `reveal_m` is a measurement, or NaN. unknown_m: the depth where nothing of the
-        building tells. through_m: (D,) how
-    far behind each the other face of its wall shows it, or NaN: a frame in the middle of a thick
-        wall ends the lintel's underside before that.
+        building tells. through_m: (D,) how far behind each the other face of its wall shows it, or
+        NaN: a frame in the middle of a thick wall ends the lintel's underside before that.
     """
     usual_m, thickness_m = (
         usual_thickness(parts, unknown_m),
